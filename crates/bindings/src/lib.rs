@@ -1,7 +1,23 @@
-//! The Python extension module `securestate._kernels`.
+//! `securestate._kernels`: borrows arrays, releases the GIL, maps errors. No mathematics here.
 
 use pyo3::prelude::*;
 
-/// The numerical kernels of securestate.
+mod arrays;
+mod errors;
+mod estimate;
+mod filter;
+mod kalman;
+mod kernel;
+
+/// Run-time kernels of securestate.
 #[pymodule]
-mod _kernels {}
+mod _kernels {
+    #[pymodule_export]
+    use super::estimate::Estimate;
+    #[pymodule_export]
+    use super::filter::Filter;
+    #[pymodule_export]
+    use super::kalman::kalman;
+    #[pymodule_export]
+    use super::kernel::Kernel;
+}

@@ -1,1 +1,18 @@
-//! The numerical kernels of securestate.
+//! Numerical kernels of securestate: filters that advance a state by one measurement at a time.
+//!
+//! Reading order: [`estimator`] (the trait), [`bank`] (the drivers over it), then one file per algorithm.
+
+pub mod bank;
+pub mod codec;
+mod error;
+pub mod estimator;
+pub mod kalman;
+pub mod linalg;
+pub mod record;
+pub mod units;
+
+pub use bank::{Block, Design, Filter, Kernel};
+pub use error::{Error, Result};
+pub use estimator::{Dims, Estimator, Output, Status};
+pub use record::Record;
+pub use units::Units;

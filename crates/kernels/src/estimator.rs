@@ -1,0 +1,125 @@
+//! The one trait every algorithm implements, and what it reads and writes per sample.
+
+use crate::codec::{Decoder, Encoder};
+use crate::Result;
+
+/// Sizes that the drivers need.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Dims {
+    /// n, length of x.
+    pub states: usize,
+    /// m, scalar measurements.
+    pub channels: usize,
+    /// N, sensors; each owns one or more channels.
+    pub sensors: usize,
+    /// p, length of u.
+    pub inputs: usize,
+}
+
+/// How a step went. The Python `Status` has the same numbers.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(u8)]
+pub enum Status {
+    /// The numbers mean what they say.
+    Ok = 0,
+    /// No channel arrived: the estimate is a prediction.
+    NoMeasurement = 1,
+    /// The solver stopped at its cap; the gap in the diagnostics says how far it is from the optimum.
+    NotConverged = 2,
+    /// The channels that are left do not determine the state: treat the estimate as a guess.
+    IllConditioned = 3,
+}
+
+/// Where a step writes its results. Units are those of the normalised plant; the driver converts.
+#[derive(Debug)]
+pub struct Output<'a> {
+    /// x[k|k], (n,).
+    pub x: &'a mut [f64],
+    /// Standard deviations of x, (n,).
+    pub x_std: &'a mut [f64],
+    /// P[k|k], (n, n) row-major, if the caller wants it.
+    pub covariance: Option<&'a mut [f64]>,
+    /// Probability-like trust per sensor in [0, 1], NaN when it sent nothing, (N,).
+    pub trust: &'a mut [f64],
+    /// Estimated injection per channel, NaN where there is none, (m,).
+    pub attack: &'a mut [f64],
+    /// 1 where a sensor is suspected, (N,).
+    pub suspected: &'a mut [u8],
+    /// y − C x[k|k−1] − D u, NaN where missing, (m,).
+    pub innovation: &'a mut [f64],
+    /// Standard deviation of the innovation when nobody lies, (m,).
+    pub innovation_std: &'a mut [f64],
+    /// One number per name in [`Estimator::diagnostics`].
+    pub diagnostics: &'a mut [f64],
+    /// How the step went.
+    pub status: &'a mut u8,
+}
+
+/// An estimator is an immutable value; its filter state is explicit.
+pub trait Estimator: Send + Sync {
+    /// Everything that changes from sample to sample, scratch space included.
+    type State: Clone + Send + Sync;
+    /// What the runs of a batch can share because it does not depend on the data.
+    type Plan: Sync;
+
+    /// Sizes.
+    fn dims(&self) -> Dims;
+
+    /// Names of the diagnostics, in order. At least one.
+    fn diagnostics(&self) -> &'static [&'static str];
+
+    /// State before the first measurement: belief about x[0|−1]. `covariance` None means steady state.
+    ///
+    /// # Errors
+    /// If the prior does not fit the estimator.
+    fn start(&self, mean: &[f64], covariance: Option<&[f64]>) -> Result<Self::State>;
+
+    /// Correct with y[k] (NaN = missing, otherwise finite), report, predict with u[k].
+    ///
+    /// # Errors
+    /// Only for a caller's mistake, such as a step beyond the horizon of a time-varying plant.
+    fn step(
+        &self,
+        state: &mut Self::State,
+        y: &[f64],
+        u: &[f64],
+        out: &mut Output<'_>,
+    ) -> Result<()>;
+
+    /// Work shared by all runs over the next `steps` samples, or None if there is nothing to share.
+    /// `y` is (runs, steps, m) in file units: only which entries are missing may be used.
+    fn plan(&self, _states: &[&Self::State], _y: &[f64], _steps: usize) -> Option<Self::Plan> {
+        None
+    }
+
+    /// As [`Estimator::step`], bit for bit, with sample `k` of a plan.
+    ///
+    /// # Errors
+    /// As [`Estimator::step`].
+    fn step_planned(
+        &self,
+        _plan: &Self::Plan,
+        _k: usize,
+        state: &mut Self::State,
+        y: &[f64],
+        u: &[f64],
+        out: &mut Output<'_>,
+    ) -> Result<()> {
+        self.step(state, y, u, out)
+    }
+
+    /// Bring a state that only took planned steps up to date with the end of the plan.
+    fn leave_plan(&self, _plan: &Self::Plan, _state: &mut Self::State) {}
+
+    /// Write what [`Estimator::load`] needs to continue bit for bit.
+    fn save(&self, state: &Self::State, to: &mut Encoder);
+
+    /// Read a state written by [`Estimator::save`].
+    ///
+    /// # Errors
+    /// [`crate::Error::Resume`] if the bytes do not fit.
+    fn load(&self, from: &mut Decoder<'_>) -> Result<Self::State>;
+
+    /// Hash of every number of the design: a state resumes only on the estimator it came from.
+    fn fingerprint(&self) -> u64;
+}

@@ -1,0 +1,7 @@
+"""Estimators: one file per algorithm, the protocol in `base`."""
+
+from securestate.estimators.base import Estimator, Filter, Status
+from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.run import Run
+
+__all__ = ["Estimator", "Filter", "KalmanFilter", "Run", "Status"]

@@ -1,0 +1,202 @@
+"""What every estimator offers: run a record, start a live filter, save it, resume it.
+
+An estimator is an immutable value made at design time. Its kernel does the work per sample; the classes here
+check shapes, hand arrays over and give the results their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from securestate import _kernels
+from securestate.errors import InputError, ShapeError
+from securestate.estimators.run import Run
+from securestate.plant import Belief, Plant
+
+Float = NDArray[np.float64]
+
+
+class Status(IntEnum):
+    """How a step went. Numbers in `Run.status` and `Estimate.status`."""
+
+    OK = 0
+    NO_MEASUREMENT = 1
+    NOT_CONVERGED = 2
+    ILL_CONDITIONED = 3
+
+    @property
+    def advice(self) -> str:
+        """What the numbers mean and what to do."""
+        return _ADVICE[self]
+
+
+_ADVICE = {
+    Status.OK: "The numbers mean what they say.",
+    Status.NO_MEASUREMENT: "No channel arrived, so the estimate is a prediction. Check the connection.",
+    Status.NOT_CONVERGED: "The solver stopped at its cap; the diagnostic 'gap' says how far it is from the optimum.",
+    Status.ILL_CONDITIONED: "The sensors that are left do not determine the state. Treat the estimate as a guess.",
+}
+
+
+class Filter(_kernels.Filter):
+    """A live filter: an estimator with a state. Made by `Estimator.start` and `Estimator.resume`.
+
+    `step(y, u=None)` takes one measurement of shape (m,) in sensor units, NaN marking a missing channel, and
+    returns an `Estimate`. `save()` returns bytes from which `Estimator.resume` continues bit for bit.
+    """
+
+    _estimator: Estimator
+
+    def __new__(
+        cls, estimator: Estimator, means: Float | None, covariance: Float | None, blob: bytes | None
+    ) -> Filter:
+        """Called by `Estimator`; use `Estimator.start` or `Estimator.resume`."""
+        self = super().__new__(cls, estimator.kernel, means, covariance, blob)
+        self._estimator = estimator
+        return self
+
+    def run(self, y: ArrayLike, u: ArrayLike | None = None, *, covariance: bool = True) -> Run:
+        """Continue this filter over a block of samples.
+
+        Args:
+            y: measurements, shape (T, m), sensor units; NaN marks a missing channel.
+            u: inputs, shape (T, p), file units; needed if and only if the plant has inputs.
+            covariance: False leaves `Run.P` None, which saves n² numbers per sample.
+        Returns:
+            Run with arrays of shape (T, ...).
+        Raises:
+            ShapeError, MeasurementError: naming the argument, expected and received.
+        """
+        plant = self._estimator.plant
+        y = _measurements(y, plant, ("T",))
+        u = _inputs(u, plant, y.shape)
+        return _advance(self, self._estimator, y[np.newaxis], u, covariance=covariance, batch=False)
+
+
+class Estimator:
+    """Base of all estimators; subclasses only design a kernel.
+
+    Attributes:
+        plant: the plant it was designed for.
+        settings: the choices made, as plain values.
+    """
+
+    plant: Plant
+    settings: Mapping[str, object]
+    kernel: _kernels.Kernel
+
+    def __init__(self, plant: Plant, kernel: _kernels.Kernel, settings: Mapping[str, object]) -> None:
+        self.plant = plant
+        self.kernel = kernel
+        self.settings = dict(settings)
+
+    @property
+    def name(self) -> str:
+        """Name of the method."""
+        return type(self).__name__
+
+    def __repr__(self) -> str:
+        settings = ", ".join(f"{key}={value!r}" for key, value in self.settings.items())
+        return f"{self.name}({self.plant!r}{', ' if settings else ''}{settings})"
+
+    def run(
+        self,
+        y: ArrayLike,
+        u: ArrayLike | None = None,
+        prior: Belief | None = None,
+        *,
+        covariance: bool = True,
+    ) -> Run:
+        """Estimate a whole record, or a batch of records in parallel.
+
+        Args:
+            y: measurements, shape (T, m) or (runs, T, m), sensor units; NaN marks a missing channel.
+            u: inputs, shape (T, p), or (runs, T, p) for a batch; needed if and only if the plant has inputs.
+            prior: belief about x[0] before y[0]; None means mean zero and steady state.
+            covariance: False leaves `Run.P` None, which saves n² numbers per sample.
+        Returns:
+            Run; its arrays have the leading axes of `y`. A batch gives the same bits as a loop.
+        Raises:
+            ShapeError, MeasurementError: naming the argument, expected and received.
+        """
+        batch = np.ndim(y) == 3
+        y = _measurements(y, self.plant, ("runs", "T") if batch else ("T",))
+        u = _inputs(u, self.plant, y.shape)
+        mean, cov = self._prior(prior)
+        runs = y.shape[0] if batch else 1
+        bank = Filter(self, np.ascontiguousarray(np.broadcast_to(mean, (runs, self.plant.n))), cov, None)
+        return _advance(bank, self, y if batch else y[np.newaxis], u, covariance=covariance, batch=batch)
+
+    def start(self, prior: Belief | None = None) -> Filter:
+        """A live filter before its first measurement; `prior` None means mean zero and steady state."""
+        mean, cov = self._prior(prior)
+        return Filter(self, mean[np.newaxis], cov, None)
+
+    def resume(self, blob: bytes) -> Filter:
+        """The filter whose `save()` returned `blob`; it continues bit for bit.
+
+        Raises:
+            ResumeError: the bytes are damaged, or come from another estimator or plant.
+        """
+        return Filter(self, None, None, blob)
+
+    def _prior(self, prior: Belief | None) -> tuple[Float, Float | None]:
+        if prior is None:
+            return np.zeros(self.plant.n), None
+        if prior.x.shape != (self.plant.n,):
+            raise ShapeError("prior.x", f"shape ({self.plant.n},)", f"shape {prior.x.shape}")
+        return np.ascontiguousarray(prior.x), None if prior.P is None else np.ascontiguousarray(prior.P)
+
+
+def _measurements(y: ArrayLike, plant: Plant, axes: tuple[str, ...]) -> Float:
+    """Measurements as a contiguous float array of shape (*axes, m)."""
+    y = _floats("y", y)
+    if y.ndim != len(axes) + 1 or y.shape[-1] != plant.m or 0 in y.shape:
+        expected = f"shape ({', '.join(axes)}, {plant.m})" + (" or (runs, T, m)" if len(axes) == 1 else "")
+        raise ShapeError("y", expected, f"shape {y.shape}")
+    return y
+
+
+def _inputs(u: ArrayLike | None, plant: Plant, y_shape: tuple[int, ...]) -> Float:
+    """Inputs as a contiguous float array of shape (T, p) or (runs, T, p)."""
+    steps, p = y_shape[-2], plant.n_inputs
+    if u is None:
+        if p:
+            raise ShapeError("u", f"shape ({steps}, {p}), because the plant has inputs", "None")
+        return np.zeros((steps, 0))
+    u = _floats("u", u)
+    if u.shape not in ((steps, p), (*y_shape[:-1], p)):
+        raise ShapeError("u", f"shape {(steps, p)}", f"shape {u.shape}")
+    return u
+
+
+def _floats(name: str, values: ArrayLike) -> Float:
+    try:
+        array = np.asarray(values)
+        if array.dtype.kind not in "fiub":
+            raise TypeError(f"dtype {array.dtype}")
+        return np.ascontiguousarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(name, "an array of real numbers", str(error)) from error
+
+
+def _advance(bank: Filter, estimator: Estimator, y: Float, u: Float, *, covariance: bool, batch: bool) -> Run:
+    """Run the kernel and name what it returns."""
+    arrays = bank.advance(y, u, y.shape[1], covariance)
+    if not batch:
+        arrays = {name: array[0] for name, array in arrays.items()}
+    numbers = arrays.pop("diagnostics")
+    names = estimator.kernel.diagnostics
+    return Run(
+        plant=estimator.plant,
+        estimator=estimator.name,
+        settings=estimator.settings,
+        suspected=arrays.pop("suspected").astype(bool),
+        P=arrays.pop("P", None),
+        diagnostics={name: np.ascontiguousarray(numbers[..., i]) for i, name in enumerate(names)},
+        **arrays,
+    )
