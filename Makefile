@@ -1,0 +1,78 @@
+# securestate: every target sets up what it needs; `make help` lists them.
+# PYTHON=/path/to/python3 chooses the interpreter of a new .venv; ARGS=... goes to the program a target runs.
+
+PY := .venv/bin/python
+ENVIRONMENT := .venv/.environment
+KERNELS := .venv/.kernels
+RUST_SOURCES := $(shell find crates -name '*.rs' -o -name Cargo.toml)
+ARGS ?=
+
+export PYTHON
+export PYO3_PYTHON := $(CURDIR)/$(PY)
+
+.NOTPARALLEL:
+.DEFAULT_GOAL := help
+.PHONY: help setup run test lint types contracts rust pytest bench papers format requirements clean
+
+help: ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' Makefile
+
+setup: $(KERNELS) ## make .venv, install the dependencies, build the Rust kernels
+
+run: setup ## the main job on the Tennessee Eastman data
+	@$(PY) examples/tennessee-eastman/run.py $(ARGS)
+
+test: lint types contracts rust pytest ## every check, in this order; stops at the first failure
+
+test lint types contracts rust pytest: export NO_COLOR := 1
+test lint types contracts rust pytest: export CARGO_TERM_COLOR := never
+
+lint: setup ## ruff: rules and format
+	$(PY) -m ruff check --quiet .
+	$(PY) -m ruff format --check --quiet --diff .
+
+types: setup ## mypy --strict, and the kernels' stubs against the built module
+	$(PY) -m mypy --no-color-output
+	$(PY) -m mypy.stubtest --concise securestate._kernels
+
+contracts: setup ## imports point down only
+	.venv/bin/lint-imports --no-logo
+
+rust: setup ## rustfmt, clippy, cargo test
+	cargo fmt --all --check
+	cargo clippy --quiet --locked --workspace --all-targets -- -D warnings
+	cargo test --quiet --locked --workspace
+
+pytest: setup ## the Python tests and doctests; ARGS="-k name" narrows them
+	$(PY) -m pytest $(ARGS)
+
+bench: setup ## side-by-side benchmarks
+	@$(PY) -m benches $(ARGS)
+
+papers: setup ## reproduce the papers' numbers
+	@$(PY) -m papers.liu2020 $(ARGS)
+
+format: setup ## format Python and Rust in place
+	$(PY) -m ruff check --quiet --fix-only .
+	$(PY) -m ruff format --quiet .
+	cargo fmt --all
+
+requirements: $(ENVIRONMENT) ## recompile requirements/*.txt; ARGS=--upgrade for newer versions
+	scripts/requirements.sh $(ARGS)
+
+clean: ## remove .venv and everything built
+	rm -rf .venv target src/securestate/_kernels*.so .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+# A stamp stands for work done; it is as new as what the work depends on. An environment whose Python no longer
+# runs is made again.
+ifneq ($(shell $(PY) -c 'print("runs")' 2>/dev/null),runs)
+.PHONY: $(ENVIRONMENT)
+endif
+
+$(ENVIRONMENT): requirements/uv.txt requirements/dev.txt scripts/environment.sh
+	@scripts/environment.sh
+	@touch $@
+
+$(KERNELS): $(ENVIRONMENT) pyproject.toml Cargo.toml Cargo.lock $(RUST_SOURCES) scripts/kernels.sh
+	@scripts/kernels.sh
+	@touch $@
