@@ -25,7 +25,7 @@ def describe(value: object) -> str:
 
 
 def real_array(argument: str, value: object, error: Error) -> Array:
-    """Return finite real numbers as a float64 array; booleans, text, complex numbers and ragged lists are refused."""
+    """Return finite real numbers as float64; booleans, text, complex numbers and ragged lists are refused."""
     if np.ma.isMaskedArray(value):
         raise error(argument, "an array without a mask", "a masked array")
     try:
@@ -131,7 +131,7 @@ def positive_definite(argument: str, matrix: Array, error: Error) -> Array:
 
 
 def covariance(argument: str, value: object, size: int, what: str, error: Error) -> Array:
-    """Return a positive definite (size, size) matrix from one variance, a vector of variances or the matrix."""
+    """Return a positive definite (size, size) matrix from one variance, variances or the matrix itself."""
     numbers = real_array(argument, value, error)
     if numbers.shape in ((), (size,)):
         numbers = np.diag(np.broadcast_to(numbers, (size,)))

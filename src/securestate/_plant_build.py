@@ -1,30 +1,13 @@
-"""The parts of a plant, checked against each other: every function returns clean data or raises PlantError."""
+"""The parts of a plant, checked against each other: clean data comes back, or PlantError is raised."""
 
-from collections.abc import Sequence
-from typing import Protocol
+from collections.abc import Iterable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from securestate import _checks as check
+from securestate._checks import Array
+from securestate._sensor import Sensor
 from securestate.errors import PlantError
-
-Array = NDArray[np.float64]
-
-
-class Owned(Protocol):
-    """What a plant needs to know of a sensor."""
-
-    @property
-    def name(self) -> str: ...
-    @property
-    def C(self) -> Array: ...
-    @property
-    def R(self) -> Array | None: ...
-    @property
-    def D(self) -> Array | None: ...
-    @property
-    def channels(self) -> tuple[str, ...]: ...
 
 
 def dynamics(value: object) -> Array:
@@ -34,46 +17,6 @@ def dynamics(value: object) -> Array:
     if not square or not numbers.size:
         raise PlantError("A", "shape (n, n) or (T, n, n)", f"shape {numbers.shape}")
     return numbers
-
-
-def observation(argument: str, value: object) -> Array:
-    """Return C with shape (c, n) or (T, c, n), no channel blind to every state at all times."""
-    numbers = check.real_array(argument, value, PlantError)
-    if numbers.ndim == 1:
-        numbers = numbers[None, :]
-    if numbers.ndim not in (2, 3) or not numbers.size:
-        raise PlantError(argument, "shape (n,), (c, n) or (T, c, n)", f"shape {numbers.shape}")
-    blind = ~np.any(numbers, axis=-1)
-    blind = blind if numbers.ndim == 2 else blind.all(axis=0)
-    if blind.any():
-        raise PlantError(argument, "channels that see some state", f"row {int(np.argmax(blind))} all zero")
-    return numbers
-
-
-def feedthrough(argument: str, value: object, count: int) -> Array:
-    """Return D of one sensor with shape (c, p)."""
-    numbers = check.real_array(argument, value, PlantError)
-    if numbers.ndim == 1:
-        numbers = numbers[None, :]
-    if numbers.ndim != 2 or len(numbers) != count:
-        raise PlantError(argument, f"shape ({count}, p)", f"shape {numbers.shape}")
-    return numbers
-
-
-def channel_names(argument: str, value: object, name: str, count: int) -> tuple[str, ...]:
-    """Return the names of a sensor's channels; by default its own name, numbered if there are several."""
-    if value is None:
-        return (name,) if count == 1 else tuple(f"{name}.{i}" for i in range(1, count + 1))
-    channels = check.labels(argument, value, count, PlantError)
-    check.distinct(argument, channels, PlantError)
-    return channels
-
-
-def units(argument: str, value: object, count: int) -> tuple[str, ...]:
-    """Return one unit per channel; one text stands for all."""
-    if isinstance(value, str):
-        return (check.label(argument, value, PlantError, empty=True),) * count
-    return check.labels(argument, value, count, PlantError, empty=True)
 
 
 def names(argument: str, value: object, prefix: str, count: int) -> tuple[str, ...]:
@@ -91,7 +34,21 @@ def refuse_names_without_inputs(value: object) -> None:
         raise PlantError("input_names", "no names, as there is neither B nor D", check.describe(value))
 
 
-def stacked_observation(sensors: Sequence[Owned], n: int) -> Array:
+def owned_sensors(sensors: object) -> tuple[Sensor, ...]:
+    """Return the sensors of a plant: at least one, with names that differ."""
+    if isinstance(sensors, Sensor) or not isinstance(sensors, Iterable):
+        raise PlantError("sensors", "a list of Sensor", check.describe(sensors))
+    owned = tuple(sensors)
+    for i, sensor in enumerate(owned):
+        if not isinstance(sensor, Sensor):
+            raise PlantError(f"sensors[{i}]", "a Sensor", check.describe(sensor))
+    if not owned:
+        raise PlantError("sensors", "at least one Sensor", "none")
+    check.distinct("sensors", [sensor.name for sensor in owned], PlantError)
+    return owned
+
+
+def stacked_observation(sensors: Sequence[Sensor], n: int) -> Array:
     """Return C of all sensors, (m, n) or (T, m, n)."""
     for sensor in sensors:
         if sensor.C.shape[-1] != n:
@@ -108,7 +65,7 @@ def stacked_observation(sensors: Sequence[Owned], n: int) -> Array:
     return np.concatenate([np.broadcast_to(s.C, (length, *s.C.shape[-2:])) for s in sensors], axis=1)
 
 
-def agree_on_time(A: Array, sensors: Sequence[Owned]) -> None:
+def agree_on_time(A: Array, sensors: Sequence[Sensor]) -> None:
     """Refuse an A and a C that vary over different numbers of samples."""
     for sensor in sensors:
         if A.ndim == 3 and sensor.C.ndim == 3 and len(A) != len(sensor.C):
@@ -117,7 +74,7 @@ def agree_on_time(A: Array, sensors: Sequence[Owned]) -> None:
             )
 
 
-def inputs(B: object, D: object, sensors: Sequence[Owned], n: int) -> tuple[Array, Array]:
+def inputs(B: object, D: object, sensors: Sequence[Sensor], n: int) -> tuple[Array, Array]:
     """Return B (n, p) and D (m, p); what is not given is zero, and p is 0 if neither is given."""
     m = sum(len(sensor.channels) for sensor in sensors)
     through = _plant_feedthrough(D, sensors, m)
@@ -132,7 +89,7 @@ def inputs(B: object, D: object, sensors: Sequence[Owned], n: int) -> tuple[Arra
     return effect, through
 
 
-def _plant_feedthrough(D: object, sensors: Sequence[Owned], m: int) -> Array | None:
+def _plant_feedthrough(D: object, sensors: Sequence[Sensor], m: int) -> Array | None:
     owners = [(sensor.name, sensor.D) for sensor in sensors if sensor.D is not None]
     if not owners:
         return None if D is None else _full_feedthrough(D, m)
@@ -155,7 +112,7 @@ def _full_feedthrough(D: object, m: int) -> Array:
     return numbers
 
 
-def noise(R: object, sensors: Sequence[Owned]) -> Array:
+def noise(R: object, sensors: Sequence[Sensor]) -> Array:
     """Return R (m, m), from the plant or as blocks from the sensors."""
     m = sum(len(sensor.channels) for sensor in sensors)
     has = [sensor.name for sensor in sensors if sensor.R is not None]

@@ -1,15 +1,50 @@
-"""The nouns: a plant, its sensors, and a belief about its state. Checked on construction, immutable afterwards.
+"""The nouns: a plant, its sensors, a belief about its state. Checked on construction, immutable afterwards.
 
-    x[k+1] = A x[k] + B ut[k] + w[k],               w ~ N(0, Q)
+    x[k+1] = A x[k] + B ut[k] + w[k],                      w ~ N(0, Q)
     y[k]   = offset + scale * (C x[k] + D ut[k] + v[k]),   v ~ N(0, R)
     ut[k]  = (u[k] - input_offset) / input_scale
 
 `y` and `u` are in the engineering units of files; A, B, C, D, Q, R and x are in normalised units.
 With the default operating point (offsets 0, scales 1) the two are the same.
 
-n states, m channels (scalar measurements), N sensors (each owns one or more channels), p inputs.
+n states, m channels (scalar measurements), N sensors (each owns c >= 1 channels), p inputs.
+
+A plant file is TOML. Required are [plant] with A and Q, and at least one [[sensor]] with name and C::
+
+    [plant]
+    name = "two tanks"                 # default: empty
+    dt = 0.5                           # seconds between samples; default 1
+    state_names = ["level 1", "level 2"]   # or one [[state]] with a name per state; default x1, x2, ...
+    A = [[0.9, 0.0], [0.1, 0.9]]       # (n, n), or (T, n, n) if it varies
+    B = [[0.2], [0.0]]                 # (n, p); left out: no inputs
+    Q = [1e-4, 1e-4]                   # (n, n), or the diagonal, or one variance
+    # R = [[...], ...]                 # (m, m), only if noise is correlated between sensors
+    # D = [[...], ...]                 # (m, p), if not given per sensor
+    # arrays = "two-tanks.npz"         # beside this file; any matrix may then be the name of an array in it
+
+    [[input]]                          # one per column of B
+    name = "pump"
+    offset = 3.0                       # default 0; u in files = offset + scale * input of the model
+    scale = 1.5                        # default 1
+
+    [[sensor]]
+    name = "gauge 1"
+    C = [1.0, 0.0]                     # (n,) for one channel, (c, n), or (T, c, n) if it varies
+    R = 0.01                           # one variance, variances (c,), or (c, c)
+    D = [0.05]                         # (p,) for one channel or (c, p); left out: no feedthrough
+    protected = true                   # nobody can tamper with it; default false
+
+    [[sensor]]
+    name = "probe"
+    channels = ["probe.low", "probe.high"]   # default: the sensor's name, with .1, .2, ... for several
+    C = [[0.0, 1.0], [0.0, 2.0]]
+    R = [0.02, 0.03]
+    unit = "cm"                        # or one per channel
+    offset = [40.0, 80.0]              # a number or one per channel; y in files = offset + scale * model
+    scale = 2.5
 """
 
+import os
 from collections.abc import Iterable, Sequence
 from typing import ClassVar, final
 
@@ -18,79 +53,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from securestate import _checks as check
 from securestate import _plant_build as build
+from securestate import _plant_files as files
+from securestate import _plant_interop as interop
+from securestate import _plant_writer as writer
+from securestate._belief import Belief
+from securestate._checks import Array
+from securestate._sensor import Sensor
 from securestate._value import Value
-from securestate.errors import InputError, PlantError, ShapeError
+from securestate.errors import InputError, PlantError
 
-Array = NDArray[np.float64]
-
-
-@final
-class Sensor(Value):
-    """One sensor: one or more scalar channels that can be tampered with only together.
-
-    Args:
-        name: the sensor's name; unique in its plant.
-        C: how the channels see the state, shape (n,) for one channel, (c, n), or (T, c, n) if it varies in time.
-        R: noise of the channels in normalised units: one variance, variances (c,) or a covariance (c, c).
-            None if the plant carries the covariance of all channels.
-        D: feedthrough of the inputs, shape (p,) for one channel or (c, p).
-        protected: True if nobody can tamper with this sensor.
-        channels: names of the channels. Default: the sensor's name, or name.1, name.2, ... if there are several.
-        offset, scale: operating point, a number or one per channel; scale > 0.
-        unit: engineering unit, one text for all channels or one per channel.
-
-    Raises:
-        PlantError: names the sensor and argument, what was expected and what came.
-
-    Examples:
-        >>> Sensor("flow", C=[[1, 0]], R=0.1)
-        Sensor('flow', channels=1)
-        >>> Sensor("flow", C=[[1, 0]], R=-0.1)
-        Traceback (most recent call last):
-        securestate.errors.PlantError: sensor 'flow': R: expected variances > 0 on the diagonal, received -0.1 at [0, 0]
-    """
-
-    name: str
-    C: Array
-    R: Array | None
-    D: Array | None
-    protected: bool
-    channels: tuple[str, ...]
-    offset: Array
-    scale: Array
-    unit: tuple[str, ...]
-
-    def __init__(
-        self,
-        name: str,
-        C: ArrayLike,
-        R: ArrayLike | None = None,
-        *,
-        D: ArrayLike | None = None,
-        protected: bool = False,
-        channels: Sequence[str] | None = None,
-        offset: ArrayLike = 0.0,
-        scale: ArrayLike = 1.0,
-        unit: str | Sequence[str] = "",
-    ) -> None:
-        name = check.label("sensor name", name, PlantError)
-        at = f"sensor {name!r}: "
-        seen = build.observation(f"{at}C", C)
-        count = seen.shape[-2]
-        self._fill(
-            name=name,
-            C=seen,
-            R=None if R is None else check.covariance(f"{at}R", R, count, "one per channel", PlantError),
-            D=None if D is None else build.feedthrough(f"{at}D", D, count),
-            protected=check.yes_or_no(f"{at}protected", protected, PlantError),
-            channels=build.channel_names(f"{at}channels", channels, name, count),
-            offset=check.per_item(f"{at}offset", offset, count, "channel", PlantError),
-            scale=check.positive_per_item(f"{at}scale", scale, count, "channel", PlantError),
-            unit=build.units(f"{at}unit", unit, count),
-        )
-
-    def __repr__(self) -> str:
-        return f"Sensor({self.name!r}, channels={len(self.channels)}{', protected' * self.protected})"
+__all__ = ["Belief", "Plant", "Sensor"]
 
 
 @final
@@ -167,7 +139,7 @@ class Plant(Value):
     ) -> None:
         dynamics = build.dynamics(A)
         n = dynamics.shape[-1]
-        owned = _sensors(sensors)
+        owned = build.owned_sensors(sensors)
         seen = build.stacked_observation(owned, n)
         build.agree_on_time(dynamics, owned)
         effect, through = build.inputs(B, D, owned, n)
@@ -270,56 +242,76 @@ class Plant(Value):
             name=self.name,
         )
 
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> "Plant":
+        """Read a plant file; the format is described in `securestate.plant`.
+
+        Raises:
+            PlantError: names the file and the key, what was expected and what came.
+        """
+        target = files.plant_path(path)
+        with files.naming(target):
+            return cls(**files.plant_arguments(target))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write a plant file that `load` reads back exactly; large matrices go to an .npz file beside it.
+
+        Raises:
+            PlantError: the path does not end in .toml, or cannot be written; no partial file is left behind.
+        """
+        writer.write_plant(self, files.plant_path(path))
+
+    @classmethod
+    def from_control(
+        cls,
+        sys: object,
+        Q: ArrayLike,
+        R: ArrayLike,
+        *,
+        sensor_names: Sequence[str] | None = None,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        protected: Iterable[str] = (),
+        name: str | None = None,
+    ) -> "Plant":
+        """Turn a discrete-time python-control StateSpace into a plant, one sensor per output.
+
+        Args:
+            sys: the system; dt must be a number of seconds. dt=True (sample time not said) is taken as 1 s.
+            Q: process noise (n, n). R: measurement noise, one variance, variances (m,) or (m, m).
+            sensor_names, state_names, input_names, name: default: those of the system.
+            protected: names of the sensors that nobody can tamper with.
+
+        Raises:
+            PlantError: not in state-space form, continuous, no sample time, or anything `Plant` refuses.
+        """
+        return cls(
+            **interop.plant_arguments(sys, Q, R, sensor_names, state_names, input_names, protected, name)
+        )
+
+    @classmethod
+    def from_scipy(
+        cls,
+        sys: object,
+        Q: ArrayLike,
+        R: ArrayLike,
+        *,
+        sensor_names: Sequence[str] | None = None,
+        state_names: Sequence[str] | None = None,
+        input_names: Sequence[str] | None = None,
+        protected: Iterable[str] = (),
+        name: str | None = None,
+    ) -> "Plant":
+        """Turn a scipy.signal.dlti in state-space form into a plant, one sensor per output.
+
+        The arguments are those of `from_control`; names default to y1, y2, ..., x1, ... and u1, ...
+        """
+        return cls(
+            **interop.plant_arguments(sys, Q, R, sensor_names, state_names, input_names, protected, name)
+        )
+
     def __repr__(self) -> str:
         called = f"{self.name!r}, " if self.name else ""
         varying = f"horizon={self.horizon}, " if self.time_varying else ""
         counts = f"n={self.n}, m={self.m}, sensors={self.n_sensors}, inputs={self.n_inputs}"
         return f"Plant({called}{counts}, {varying}dt={self.dt:g} s)"
-
-
-@final
-class Belief(Value):
-    """What is believed about the state before the first measurement: x[0] ~ N(x, P).
-
-    Args:
-        x: mean, shape (n,), normalised units.
-        P: covariance, shape (n, n), symmetric positive semidefinite; None: the steady state of the filter.
-
-    Raises:
-        ShapeError: x is not a vector, or P does not fit it.
-        InputError: not finite real numbers, or P is not a covariance.
-
-    Examples:
-        >>> Belief([0, 0])
-        Belief(n=2, P=steady state)
-    """
-
-    x: Array
-    P: Array | None
-
-    def __init__(self, x: ArrayLike, P: ArrayLike | None = None) -> None:
-        mean = check.real_array("x", x, InputError)
-        if mean.ndim != 1 or not mean.size:
-            raise ShapeError("x", "shape (n,)", f"shape {mean.shape}")
-        self._fill(x=mean, P=None if P is None else _belief_covariance(P, len(mean)))
-
-    def __repr__(self) -> str:
-        return f"Belief(n={len(self.x)}, P={'steady state' if self.P is None else 'given'})"
-
-
-def _belief_covariance(P: ArrayLike, n: int) -> Array:
-    spread = check.shaped("P", P, (n, n), "to fit x", ShapeError)
-    return check.positive_semidefinite("P", spread, InputError)
-
-
-def _sensors(sensors: object) -> tuple[Sensor, ...]:
-    if isinstance(sensors, Sensor) or not isinstance(sensors, Iterable):
-        raise PlantError("sensors", "a list of Sensor", check.describe(sensors))
-    owned = tuple(sensors)
-    for i, sensor in enumerate(owned):
-        if not isinstance(sensor, Sensor):
-            raise PlantError(f"sensors[{i}]", "a Sensor", check.describe(sensor))
-    if not owned:
-        raise PlantError("sensors", "at least one Sensor", "none")
-    check.distinct("sensors", [sensor.name for sensor in owned], PlantError)
-    return owned
