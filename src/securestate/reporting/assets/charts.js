@@ -1,0 +1,185 @@
+"use strict";
+// The charts: one function per chart, from the visible window to a plotly figure.
+
+const LINE_POINTS = 2000;
+const PHONE = matchMedia("(max-width: 700px)");
+
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
+/** plotly reads a little HTML in its texts; names come from files. */
+const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
+const short = (text) => {
+  const most = PHONE.matches ? 11 : 24;
+  return plain(text.length > most ? text.slice(0, most - 1) + "…" : text);
+};
+const tone = (text, colour) => `<span style="color:${colour}">${text}</span>`;
+const withUnit = (name, unit) => (unit ? `${name} (${unit})` : name);
+
+/** Room for the names on the left; the same in every chart, so that their time axes stand in line. */
+function leftMargin() {
+  const names = [...MANIFEST.sensors, ...MANIFEST.channels].map((n) => n.name.length);
+  return 22 + 6.6 * Math.min(Math.max(6, ...names), PHONE.matches ? 11 : 24);
+}
+
+function timeAxis(view, clock) {
+  const titles = { date: "", sample: "sample", s: "time (s)", min: "time (min)", h: "time (h)", d: "time (d)" };
+  return {
+    type: clock.unit === "date" ? "date" : "linear",
+    range: [clock.edge(view.from), clock.edge(view.to)],
+    title: { text: titles[clock.unit], standoff: 6, font: { size: 11 } },
+    hoverformat: clock.unit === "date" ? "%Y-%m-%d %H:%M:%S" : ".7~g",
+    tickformatstops: [
+      { dtickrange: [null, 60000], value: "%H:%M:%S\n%Y-%m-%d" },
+      { dtickrange: [60000, 86400000], value: "%H:%M\n%Y-%m-%d" },
+      { dtickrange: [86400000, null], value: "%Y-%m-%d" },
+    ],
+    nticks: PHONE.matches ? 4 : 10,
+    gridcolor: css("line"), zeroline: false, linecolor: css("line"), ticks: "outside", tickcolor: css("line"),
+  };
+}
+
+function layout(height, more) {
+  return {
+    height,
+    margin: { l: leftMargin(), r: 14, t: 8, b: 46 },
+    paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+    font: { family: "system-ui, -apple-system, Segoe UI, Roboto, sans-serif", size: 11, color: css("ink") },
+    hoverlabel: { bgcolor: css("card"), bordercolor: css("line"), font: { color: css("ink") }, align: "left" },
+    showlegend: false,
+    dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",
+    ...more,
+  };
+}
+
+/** A heat map with one named row per entry of z, over the bins that start at `starts`. */
+function heatmap(view, clock, starts, names, z, hover, scale, [low, high], rowHeight) {
+  const count = names.length;
+  const every = Math.max(1, Math.ceil(12 / rowHeight));
+  const rows = names.map((_, i) => i).filter((i) => i % every === 0);
+  return {
+    data: [{
+      type: "heatmap", x: starts.map(clock.edge), y: names.map((_, i) => i), z, customdata: hover,
+      zmin: low, zmax: high, colorscale: scale, showscale: false, hoverongaps: false,
+      hovertemplate: "%{customdata}<extra></extra>",
+    }],
+    layout: layout(count * rowHeight + 60, {
+      xaxis: { ...timeAxis(view, clock), showgrid: false },
+      yaxis: {
+        range: [count - 0.5, -0.5], fixedrange: true, tickvals: rows, ticktext: rows.map((i) => names[i]),
+        showgrid: false, zeroline: false, ticks: "",
+      },
+      plot_bgcolor: css("missing"), hovermode: "closest",
+    }),
+  };
+}
+
+const rowHeight = (count) => Math.max(7, Math.min(26, Math.round(840 / count)));
+
+function when(clock, starts, b) {
+  const first = clock.text(starts[b]);
+  return starts[b + 1] - starts[b] === 1 ? first : `${first} – ${clock.text(starts[b + 1] - 1)}`;
+}
+
+/** Least trust per bin; a bin with any suspected sample is red. */
+function trustChart({ trust, suspected }, view, clock, most) {
+  const starts = bins(view.from, view.to, most);
+  const z = [], hover = [];
+  MANIFEST.sensors.forEach((sensor, s) => {
+    const least = extremes(trust.column(s), starts, (a, b) => a < b).map((code) => code === null ? null : trust.value(s, code));
+    const lies = extremes(suspected.column(s), starts, (a, b) => a > b).map((code) => suspected.value(s, code) > 0.5);
+    z.push(least.map((value, b) => (lies[b] ? -0.5 : value)));
+    hover.push(least.map((value, b) =>
+      `<b>${plain(sensor.name)}</b><br>${when(clock, starts, b)}<br>trust ${value === null ? "–" : value.toFixed(2)}${lies[b] ? " · suspected" : ""}`));
+  });
+  const names = MANIFEST.sensors.map((s) => (s.lies ? tone(short(s.name), css("red")) : short(s.name)));
+  const scale = [[0, css("red")], [0.4999, css("red")], [0.5, css("trust-none")], [1, css("trust-full")]];
+  return heatmap(view, clock, starts, names, z, hover, scale, [-1, 1], rowHeight(names.length));
+}
+
+/** Greatest |innovation| per bin, in standard deviations; beyond the bound it turns from blue to amber. */
+function surpriseChart({ ratio }, view, clock, most) {
+  const starts = bins(view.from, view.to, most);
+  const z = [], hover = [];
+  MANIFEST.channels.forEach((channel, c) => {
+    const column = ratio.column(c);
+    const up = extremes(column, starts, (a, b) => a > b), down = extremes(column, starts, (a, b) => a < b);
+    const worst = up.map((code, b) => {
+      if (code === null) return null;
+      const top = ratio.value(c, code), bottom = ratio.value(c, down[b]);
+      return top > -bottom ? top : bottom;
+    });
+    z.push(worst.map((value) => (value === null ? null : Math.abs(value))));
+    hover.push(worst.map((value, b) =>
+      `<b>${plain(channel.name)}</b><br>${when(clock, starts, b)}<br>${value === null ? "missing" : value.toFixed(2) + " σ"}`));
+  });
+  const names = MANIFEST.channels.map((c) => MANIFEST.sensors[c.sensor].lies ? tone(short(c.name), css("red")) : short(c.name));
+  const scale = [[0, css("calm")], [0.4999, css("bound")], [0.5, css("over")], [1, css("far")]];
+  return heatmap(view, clock, starts, names, z, hover, scale, [0, 2 * MANIFEST.bound], rowHeight(names.length));
+}
+
+/** The status of every sample as one strip; the worst of every bin. */
+function statusChart({ status }, view, clock, most) {
+  const starts = bins(view.from, view.to, most);
+  const worst = extremes(status.column(0), starts, (a, b) => a > b).map((code) => Math.round(status.value(0, code)));
+  const names = ["OK", "NO_MEASUREMENT", "NOT_CONVERGED", "ILL_CONDITIONED"];
+  const colours = [css("calm"), css("missing"), css("over"), css("purple")];
+  const scale = colours.flatMap((colour, i) => [[i / 4, colour], [(i + 0.9999) / 4, colour]]).concat([[1, colours[3]]]);
+  const hover = worst.map((code, b) => `${when(clock, starts, b)}<br>${names[code]}`);
+  return heatmap(view, clock, starts, ["status"], [worst], [hover], scale, [-0.5, 3.5], 26);
+}
+
+/** One line over the window, thinned; red at the samples where `isRed` says so. */
+function lineTraces(view, clock, axis, column, value, isRed) {
+  const samples = thin(column, view.from, view.to, LINE_POINTS);
+  const x = samples.map(clock.at), y = samples.map((i) => value(column[i]));
+  const mode = samples.length < 80 ? "lines+markers" : "lines";
+  const line = { x, y, mode, yaxis: axis, line: { color: css("accent"), width: 1.2 }, marker: { size: 4 }, hovertemplate: "%{y:.4~g}<extra></extra>" };
+  if (!isRed) return [line];
+  const red = y.map((v, i) => (isRed(samples[i]) ? v : null));
+  const mark = { x, y: red, mode: "lines+markers", yaxis: axis, line: { color: css("red"), width: 1.4 }, marker: { size: 3 }, hoverinfo: "skip" };
+  return [line, mark];
+}
+
+/** A filled band between a lower and an upper column, thinned to its outermost edge per bin. */
+function bandTraces(view, clock, axis, lower, upper) {
+  const starts = bins(view.from, view.to, LINE_POINTS / 2);
+  const x = [], low = [], high = [];
+  for (let b = 0; b + 1 < starts.length; b++) {
+    let least = Infinity, greatest = -Infinity;
+    for (let i = starts[b]; i < starts[b + 1]; i++) {
+      least = Math.min(least, lower(i));
+      greatest = Math.max(greatest, upper(i));
+    }
+    if (!(least <= greatest)) continue;
+    x.push((clock.at(starts[b]) + clock.at(starts[b + 1] - 1)) / 2);
+    low.push(least);
+    high.push(greatest);
+  }
+  const edge = { x, yaxis: axis, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+  return [{ ...edge, y: low }, { ...edge, y: high, fill: "tonexty", fillcolor: css("band") }];
+}
+
+/** Rows above each other that share one time axis. Each row: {title, traces(axis), shapes?(axis)}. */
+function stack(rows, view, clock, height) {
+  const gap = 24 / (rows.length * height), data = [], axes = {}, shapes = [];
+  const annotations = rows.map((row, r) => {
+    const top = 1 - r / rows.length, name = r ? `y${r + 1}` : "y";
+    data.push(...row.traces(name));
+    shapes.push(...(row.shapes ? row.shapes(name) : []));
+    axes[r ? `yaxis${r + 1}` : "yaxis"] = {
+      domain: [top - 1 / rows.length, top - gap], fixedrange: true, gridcolor: css("line"), zerolinecolor: css("line"),
+      nticks: 5, tickformat: ".4~g", anchor: "x",
+    };
+    return { text: row.title, xref: "paper", yref: "paper", x: 0, y: top - gap, xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12 } };
+  });
+  const bottom = rows.length > 1 ? `y${rows.length}` : "y";
+  return {
+    data,
+    layout: layout(rows.length * height + 60, {
+      ...axes, annotations, shapes, xaxis: { ...timeAxis(view, clock), anchor: bottom }, hovermode: "x",
+    }),
+  };
+}
+
+const dashed = (y, axis) => ({
+  type: "line", xref: "paper", x0: 0, x1: 1, yref: axis, y0: y, y1: y, line: { color: css("soft"), width: 1, dash: "dash" },
+});

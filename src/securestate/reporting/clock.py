@@ -1,0 +1,62 @@
+"""Times of a run as a reader wants them: ISO dates, or seconds, minutes, hours, days, or plain sample numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from securestate.estimators.base import Run
+
+UNITS = (("d", 86400.0, 14 * 86400.0), ("h", 3600.0, 3 * 3600.0), ("min", 60.0, 600.0), ("s", 1.0, 0.0))
+"""Unit, its seconds, and the shortest span in seconds it is used for."""
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time of every sample. `values` (T,) are in `unit`; for unit "date" milliseconds since 1970."""
+
+    unit: str
+    values: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, run: Run) -> Clock:
+        """The clock of a run; without times it counts in sample times, and in samples if the sample time is 1."""
+        if run.time is None:
+            index = np.arange(run.x.shape[0], dtype=np.float64)
+            return cls("sample", index) if run.plant.dt == 1.0 else _in_best_unit(index * run.plant.dt)
+        if np.issubdtype(run.time.dtype, np.datetime64):
+            return cls("date", run.time.astype("datetime64[us]").astype(np.int64) / 1000.0)
+        return _in_best_unit(run.time.astype(np.float64))
+
+    @property
+    def regular(self) -> tuple[float, float] | None:
+        """Start and step if all steps are equal, else None."""
+        steps = np.diff(self.values)
+        if steps.size == 0:
+            return float(self.values[0]), 1.0
+        step = float((self.values[-1] - self.values[0]) / steps.size)
+        return (float(self.values[0]), step) if np.abs(steps - step).max() <= 1e-6 * abs(step) else None
+
+    def text(self, index: int) -> str:
+        """The time of one sample, with its unit."""
+        value = self.values[index]
+        if self.unit == "date":
+            moment = np.datetime64(int(round(value)), "ms")
+            whole = np.all(self.values % 60000 == 0)
+            return str(np.datetime_as_string(moment, unit="m" if whole else "s")).replace("T", " ")
+        return f"sample {index}" if self.unit == "sample" else f"{value:.6g} {self.unit}"
+
+    @property
+    def span(self) -> str:
+        """From the first sample to the last."""
+        return f"{self.text(0)} to {self.text(-1 % self.values.size)}"
+
+
+def _in_best_unit(seconds: NDArray[np.float64]) -> Clock:
+    span = float(seconds[-1] - seconds[0])
+    unit, length, _ = next(u for u in UNITS if span >= u[2])
+    return Clock(unit, seconds / length)

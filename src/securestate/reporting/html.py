@@ -1,0 +1,145 @@
+"""The report: one HTML file that needs nothing else, neither network nor folder."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import json
+import os
+import tempfile
+from collections.abc import Sequence
+from functools import lru_cache
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import TYPE_CHECKING
+
+from plotly.offline import get_plotlyjs
+
+from securestate.reporting import tables
+from securestate.reporting.blocks import manifest, pack_run
+from securestate.reporting.clock import Clock
+from securestate.reporting.payload import pack_bytes
+from securestate.reporting.summary import Summary, summarise
+
+if TYPE_CHECKING:
+    from securestate.estimators.base import Run
+
+SCRIPTS = ("data.js", "charts.js", "report.js")
+
+
+def write_report(
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    title: str | None = None,
+    source: str | os.PathLike[str] | None = None,
+    notes: Sequence[str] = (),
+) -> Path:
+    """Write the report of one run as one HTML file that opens offline. Written whole or not at all.
+
+    Args:
+        run: one run, x of shape (T, n); the file holds every sample.
+        path: where to write; an existing file is replaced.
+        title: default "Sensor report", with the plant's name.
+        source: where the measurements came from, shown as given.
+        notes: sentences for the reader, shown below the verdict.
+    Returns:
+        The path written.
+    Raises:
+        InputError: names `run` if it is a batch of runs or holds no sample.
+        OSError: the file cannot be written; nothing is left behind.
+    """
+    target = Path(path)
+    _write_whole(target, render(run, title=title, source=source, notes=notes))
+    return target
+
+
+def render(
+    run: Run,
+    *,
+    title: str | None = None,
+    source: str | os.PathLike[str] | None = None,
+    notes: Sequence[str] = (),
+) -> str:
+    """The report as text; arguments as for `write_report`."""
+    summary, clock = summarise(run), Clock.of(run)
+    blocks = pack_run(run, clock)
+    script = "\n".join(_asset(name) for name in SCRIPTS)
+    data = {f"data-{name}": text for name, (_, text) in blocks.items()} | {"plotly": _plotly()}
+    return Template(_asset("report.html")).substitute(
+        policy=_policy(script),
+        style=_asset("report.css"),
+        script=script,
+        title=escape(title or f"Sensor report: {summary.plant}".removesuffix(": ")),
+        verdict=escape(summary.verdict),
+        tone="alarm" if summary.liars else "calm",
+        remarks=_paragraphs([*_remarks(summary), *notes]),
+        facts=tables.facts(run, summary, clock, source),
+        sensors=tables.sensors(summary, clock),
+        statuses=tables.statuses(summary),
+        plant=tables.plant(run),
+        manifest=_json(manifest(run, summary, clock, blocks)),
+        data="\n".join(f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items()),
+    )
+
+
+def _remarks(summary: Summary) -> list[str]:
+    silent = tuple(s.name for s in summary.sensors if s.missing == 1.0)
+    remarks = []
+    if silent:
+        remarks.append(f"Sent nothing during the whole run: {tables.enumerate_names(silent)}.")
+    if all(s.first_alarm is None for s in summary.sensors) and summary.estimator == "KalmanFilter":
+        remarks.append("KalmanFilter trusts every sensor: it does not look for liars.")
+    bad = sum(s.count for s in summary.statuses if s.name != "OK")
+    if bad:
+        remarks.append(f"{bad:,} of {summary.samples:,} samples ended with a status other than OK; see Solver.")
+    return remarks
+
+
+def _paragraphs(sentences: Sequence[str]) -> str:
+    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
+
+
+def _asset(name: str) -> str:
+    return files("securestate.reporting").joinpath("assets", name).read_text(encoding="utf-8")
+
+
+@lru_cache(maxsize=1)
+def _plotly() -> str:
+    return pack_bytes(get_plotlyjs().encode())
+
+
+def _json(value: object) -> str:
+    """JSON that cannot end the script element it stands in."""
+    return json.dumps(value, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+
+
+def _policy(script: str) -> str:
+    """Content security policy: nothing is fetched, and only our script and plotly's run."""
+    hashes = " ".join(f"'sha256-{_hash(text)}'" for text in (script, get_plotlyjs()))
+    return f"default-src 'none'; script-src {hashes}; style-src 'unsafe-inline'; img-src data: blob:"
+
+
+def _hash(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
+
+
+def _write_whole(target: Path, text: str) -> None:
+    """Write beside the target, then rename, so that a reader sees the old file or the new one."""
+    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
+    try:
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
+            stream.write(text)
+        Path(name).chmod(0o666 & ~_umask())
+        os.replace(name, target)
+    except BaseException:
+        Path(name).unlink(missing_ok=True)
+        raise
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

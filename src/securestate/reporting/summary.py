@@ -1,0 +1,229 @@
+"""What a run says, in a few numbers: per sensor how often and since when it was suspected, and how the solver fared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate.errors import InputError
+from securestate.estimators.base import Status
+
+if TYPE_CHECKING:
+    from securestate.estimators.base import Run
+
+WINDOW = 20
+"""A sensor lies if at least half of some WINDOW samples it sent in a row were suspected; fewer are isolated alarms."""
+
+NAMED = 8
+"""At most so many liars are named in the verdict; the others are counted."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One sample of a run: its index, and its time if the run has times (seconds or datetime64)."""
+
+    index: int
+    time: float | np.datetime64 | None
+
+
+@dataclass(frozen=True)
+class Injection:
+    """What a suspected sensor adds to one channel, in file units; NaN if the estimator gives no estimate.
+
+    `median` is taken while suspected; `spread` is the matching standard deviation, from the median absolute deviation.
+    """
+
+    channel: str
+    unit: str
+    median: float
+    spread: float
+
+
+@dataclass(frozen=True)
+class SensorSummary:
+    """One sensor over a whole run. Shares are of all samples of the run, in [0, 1].
+
+    `lies` tells a sensor that was suspected persistently from one with isolated alarms: at least half of some 20
+    samples in a row (of those it sent) were suspected. `since` is the first suspected sample of that stretch.
+    """
+
+    name: str
+    protected: bool
+    suspected: float
+    missing: float
+    first_alarm: Moment | None
+    lies: bool
+    since: Moment | None
+    injections: tuple[Injection, ...]
+
+
+@dataclass(frozen=True)
+class StatusCount:
+    """How many samples ended with one status, and what to do about it."""
+
+    name: str
+    count: int
+    advice: str
+
+
+@dataclass(frozen=True)
+class Summary:
+    """What one run says. `fast_path`, `iterations` and `gap` are None where the estimator has no such figure.
+
+    `fast_path` is a share of samples; `iterations` the median over the samples off the fast path; `gap` the worst one.
+    """
+
+    plant: str
+    estimator: str
+    samples: int
+    sensors: tuple[SensorSummary, ...]
+    statuses: tuple[StatusCount, ...]
+    fast_path: float | None
+    iterations: float | None
+    gap: float | None
+
+    @property
+    def liars(self) -> tuple[str, ...]:
+        """Names of the sensors that were suspected persistently, in plant order."""
+        return tuple(s.name for s in self.sensors if s.lies)
+
+    @property
+    def verdict(self) -> str:
+        """One plain sentence.
+
+        Examples:
+            >>> Summary("", "SparseFusion", 9, (), (), None, None, None).verdict
+            'No sensor is suspected.'
+        """
+        liars = self.liars
+        if liars:
+            count = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
+            return f"{count}: {enumerate_names(liars)}."
+        if any(s.first_alarm for s in self.sensors):
+            return "No sensor lies persistently; there are isolated alarms."
+        return "No sensor is suspected."
+
+
+def enumerate_names(names: tuple[str, ...]) -> str:
+    """Join names as a sentence does.
+
+    Examples:
+        >>> enumerate_names(("a", "b", "c"))
+        'a, b and c'
+        >>> enumerate_names(tuple("abcdefghij"))
+        'a, b, c, d, e, f, g, h and 2 more'
+    """
+    shown = list(names[:NAMED])
+    if len(names) > NAMED:
+        shown.append(f"{len(names) - NAMED} more")
+    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
+
+
+def summarise(run: Run) -> Summary:
+    """Summarise one run.
+
+    Raises:
+        InputError: names `run` if it is a batch of runs or holds no sample.
+    """
+    require_one_run(run)
+    return Summary(
+        plant=run.plant.name,
+        estimator=run.estimator,
+        samples=run.x.shape[0],
+        sensors=tuple(_sensor(run, i) for i in range(run.plant.n_sensors)),
+        statuses=_statuses(run.status),
+        fast_path=_fast_path(run),
+        iterations=_iterations(run),
+        gap=_worst(run.diagnostics.get("gap")),
+    )
+
+
+def require_one_run(run: Run) -> None:
+    """Raise InputError unless `run` is one run of at least one sample."""
+    if run.x.ndim != 2 or run.x.shape[0] == 0:
+        raise InputError("run", "one run of at least one sample, x of shape (T, n)", f"x of shape {run.x.shape}")
+
+
+def _sensor(run: Run, i: int) -> SensorSummary:
+    suspected, missing = run.suspected[:, i], np.isnan(run.trust[:, i])
+    since = _persistent_since(suspected, missing)
+    return SensorSummary(
+        name=run.plant.sensor_names[i],
+        protected=bool(run.plant.protected[i]),
+        suspected=float(suspected.mean()),
+        missing=float(missing.mean()),
+        first_alarm=_moment(run, _first(suspected)),
+        lies=since is not None,
+        since=_moment(run, since),
+        injections=_injections(run, i),
+    )
+
+
+def _first(flags: NDArray[np.bool_]) -> int | None:
+    return int(np.argmax(flags)) if flags.any() else None
+
+
+def _moment(run: Run, index: int | None) -> Moment | None:
+    if index is None:
+        return None
+    return Moment(index, None if run.time is None else run.time[index])
+
+
+def _persistent_since(suspected: NDArray[np.bool_], missing: NDArray[np.bool_]) -> int | None:
+    """Index of the first suspected sample of the first stretch of WINDOW sent samples that is half suspected."""
+    sent = np.flatnonzero(~missing | suspected)
+    if sent.size == 0:
+        return None
+    width = min(WINDOW, sent.size)
+    total = np.concatenate([[0], np.cumsum(suspected[sent])])
+    start = _first(2 * (total[width:] - total[:-width]) >= width)
+    if start is None:
+        return None
+    return int(sent[start + int(np.argmax(suspected[sent[start:]]))])
+
+
+def _injections(run: Run, i: int) -> tuple[Injection, ...]:
+    suspected, channels = run.suspected[:, i], run.plant.channels_of(i)
+    names, units = run.plant.channel_names[channels], run.plant.units[channels]
+    estimates = run.attack[suspected, channels].T
+    return tuple(
+        Injection(name, unit, *_centre(values)) for name, unit, values in zip(names, units, estimates, strict=True)
+    )
+
+
+def _centre(values: NDArray[np.float64]) -> tuple[float, float]:
+    """Median and spread of the finite values; NaN, NaN if there is none."""
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return float("nan"), float("nan")
+    median = float(np.median(finite))
+    return median, 1.4826 * float(np.median(np.abs(finite - median)))
+
+
+def _statuses(status: NDArray[np.uint8]) -> tuple[StatusCount, ...]:
+    codes, counts = np.unique(status, return_counts=True)
+    return tuple(
+        StatusCount(Status(int(code)).name, int(count), Status(int(code)).advice)
+        for code, count in zip(codes, counts, strict=True)
+    )
+
+
+def _fast_path(run: Run) -> float | None:
+    flags = run.diagnostics.get("fast_path")
+    return None if flags is None or np.isnan(flags).all() else float(np.nanmean(flags))
+
+
+def _iterations(run: Run) -> float | None:
+    iterations = run.diagnostics.get("iterations")
+    if iterations is None:
+        return None
+    fast = run.diagnostics.get("fast_path", np.zeros_like(iterations))
+    solved = iterations[(fast != 1) & np.isfinite(iterations)]
+    return float(np.median(solved)) if solved.size else None
+
+
+def _worst(values: NDArray[np.float64] | None) -> float | None:
+    return None if values is None or np.isnan(values).all() else float(np.nanmax(values))

@@ -1,0 +1,176 @@
+"""The tables of the report, as HTML. Every name from a file is escaped here."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Sequence
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from securestate.reporting.clock import Clock
+from securestate.reporting.summary import Injection, Moment, SensorSummary, Summary, enumerate_names
+
+if TYPE_CHECKING:
+    from securestate.estimators.base import Run
+
+__all__ = ["enumerate_names", "facts", "plant", "sensors", "statuses"]
+
+SHOWN = 12
+"""Sensors beyond this many rows are folded away, unless they lie or sent nothing."""
+
+
+def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[str] | None) -> str:
+    """What was run, as a definition list."""
+    p = run.plant
+    rows = {
+        "Plant": summary.plant or "unnamed",
+        "Data": "" if source is None else os.fspath(source),
+        "Estimator": summary.estimator,
+        "Samples": f"{summary.samples:,}",
+        "Time": clock.span,
+        "Size": f"{p.n} states, {p.n_sensors} sensors, {p.m} channels, {p.n_inputs} inputs",
+    }
+    return "".join(f"<div><dt>{k}</dt><dd>{escape(v)}</dd></div>" for k, v in rows.items() if v)
+
+
+def sensors(summary: Summary, clock: Clock) -> str:
+    """One row per sensor, liars first; a long tail of sensors that do not lie is folded away."""
+    ranked = sorted(summary.sensors, key=lambda s: (not s.lies, s.missing < 1.0, -s.suspected))
+    head = ("Sensor", "Verdict", "Suspected", "Lies since", "First alarm", "Estimated injection", "Missing")
+    rows = [_sensor_row(s, head, clock) for s in ranked]
+    notable = sum(s.lies or s.missing == 1.0 for s in ranked)
+    cut = len(rows) if len(rows) <= SHOWN + 3 else max(notable, SHOWN)
+    table = _table(head, rows[:cut])
+    if cut == len(rows):
+        return table
+    label = f"{len(rows) - cut} more sensors that do not lie"
+    return f"{table}<details><summary>{label}</summary>{_table(head, rows[cut:])}</details>"
+
+
+def _sensor_row(s: SensorSummary, head: Sequence[str], clock: Clock) -> str:
+    cells = (
+        escape(s.name) + (' <span class="tag">protected</span>' if s.protected else ""),
+        f'<span class="verdict-{_verdict(s).replace(" ", "-")}">{_verdict(s)}</span>',
+        _share(s.suspected),
+        _moment(s.since, clock),
+        _moment(s.first_alarm, clock),
+        "<br>".join(_injection(i, named=len(s.injections) > 1) for i in s.injections if not math.isnan(i.median)),
+        _share(s.missing),
+    )
+    columns = "".join(f'<td data-label="{h}">{c or "–"}</td>' for h, c in zip(head, cells, strict=True))
+    return f'<tr class="liar">{columns}</tr>' if s.lies else f"<tr>{columns}</tr>"
+
+
+def _verdict(s: SensorSummary) -> str:
+    if s.lies:
+        return "lies"
+    if s.missing == 1.0:
+        return "no data"
+    return "no alarm" if s.first_alarm is None else "isolated alarms"
+
+
+def _moment(moment: Moment | None, clock: Clock) -> str:
+    if moment is None:
+        return ""
+    return f'<button class="go" data-sample="{moment.index}">{escape(clock.text(moment.index))}</button>'
+
+
+def _share(share: float) -> str:
+    """A share in per cent.
+
+    Examples:
+        >>> [_share(s) for s in (0.0, 0.0001, 0.123, 0.9999, 1.0)]
+        ['', '&lt;0.1 %', '12.3 %', '&gt;99.9 %', '100 %']
+    """
+    if share in (0.0, 1.0):
+        return "100 %" if share else ""
+    return "&lt;0.1 %" if share < 0.001 else "&gt;99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
+
+
+def _injection(injection: Injection, *, named: bool) -> str:
+    text = f"{measured(injection.median, injection.spread)} {injection.unit}".strip()
+    return escape(f"{injection.channel}: {text}" if named else text)
+
+
+def measured(value: float, spread: float) -> str:
+    """A value with its spread, as many digits as the spread deserves.
+
+    Examples:
+        >>> measured(12.3456, 0.0321), measured(-4210.0, 130.0), measured(3e-9, 1e-10)
+        ('+12.346 ± 0.032', '−4210 ± 130', '+3e-09 ± 1e-10')
+    """
+    size = max(abs(value), spread)
+    if size and not 1e-3 <= size < 1e6:
+        text = f"{value:+.3g} ± {spread:.2g}"
+    else:
+        last = spread if spread > 0 else size or 1.0
+        digits = min(6, max(0, 1 - math.floor(math.log10(last))))
+        text = f"{value:+.{digits}f} ± {spread:.{digits}f}"
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def statuses(summary: Summary) -> str:
+    """Counts and advice per status, and the solver's figures."""
+    head = ("Status", "Samples", "What to do")
+    rows = (
+        (f'<span class="key status-{escape(s.name)}"></span>{escape(s.name)}', f"{s.count:,}", escape(s.advice))
+        for s in summary.statuses
+    )
+    return _plain_table(head, rows) + "".join(f"<p>{line}</p>" for line in _solver(summary))
+
+
+def _solver(summary: Summary) -> list[str]:
+    lines = []
+    if summary.fast_path is not None:
+        lines.append(f"Fast path: {100 * summary.fast_path:.1f} % of samples needed no solver.")
+    if summary.iterations is not None:
+        lines.append(f"The others took {summary.iterations:g} iterations in the median.")
+    if summary.gap is not None:
+        lines.append(f"Worst relative duality gap: {summary.gap:.1e}.")
+    return lines
+
+
+def plant(run: Run) -> str:
+    """Sensors with units, operating point and noise; inputs; settings of the estimator."""
+    p = run.plant
+    noise = p.scale * np.sqrt(np.diagonal(p.R, axis1=-2, axis2=-1)).reshape(-1, p.m)[0]
+    owners = [p.sensor_names[i] for i in p.channel_sensor]
+    head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
+    rows = (
+        (escape(name), escape(owner), escape(unit), f"{o:.6g}", f"{s:.6g}", f"{sigma:.3g}", "yes" if safe else "")
+        for name, owner, unit, o, s, sigma, safe in zip(
+            p.channel_names, owners, p.units, p.offset, p.scale, noise, p.protected[p.channel_sensor], strict=True
+        )
+    )
+    return (
+        f"<h3>Settings</h3>{_plain_table(('Setting', 'Value'), _settings(run))}"
+        f"<h3>Channels</h3>{_plain_table(head, rows)}"
+    )
+
+
+def _settings(run: Run) -> Iterable[tuple[str, str]]:
+    p = run.plant
+    yield "estimator", escape(run.estimator)
+    for name, value in run.settings.items():
+        yield escape(name.replace("_", " ")), escape(str(value))
+    yield "sample time", f"{p.dt:g}"
+    yield "time varying", "yes" if p.time_varying else "no"
+    yield "states", escape(", ".join(p.state_names))
+    if p.n_inputs:
+        yield "inputs", escape(", ".join(p.input_names))
+
+
+def _plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    def line(cells: Sequence[str]) -> str:
+        columns = "".join(f'<td data-label="{h}">{c or "–"}</td>' for h, c in zip(head, cells, strict=True))
+        return f"<tr>{columns}</tr>"
+
+    return _table(head, [line(cells) for cells in rows])
+
+
+def _table(head: Sequence[str], rows: Sequence[str]) -> str:
+    titles = "".join(f'<th scope="col">{h}</th>' for h in head)
+    return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
