@@ -1,0 +1,190 @@
+"""The steady state of the Kalman filter: the covariance that repeats itself, and the gain that belongs to it.
+
+    S = C P C' + R,   K = P C' S^-1,   P+ = (I - K C) P (I - K C)' + K R K',   P = A P+ A' + Q
+
+P is the stabilising solution: the error dynamics M = (I - K C) A have all eigenvalues inside the unit circle.
+It exists if and only if (A, C) is detectable and noise reaches every mode on the unit circle.
+"""
+
+import warnings
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from securestate.errors import DesignError
+from securestate.plant import Plant
+
+Array = NDArray[np.float64]
+
+#: Largest residual of the Riccati equation that counts as solved, relative to the standard deviations.
+TOLERANCE = 1e-9
+
+#: A residual that needs no second method.
+GOOD = 1e-13
+
+#: Eigenvalues this close to the unit circle count as on it.
+EDGE = 1e-10
+
+
+@final
+@dataclass(frozen=True)
+class SteadyState:
+    """The time-invariant Kalman filter.
+
+    Attributes:
+        P_prior: covariance of x[k|k-1], shape (n, n).
+        P_posterior: covariance of x[k|k], shape (n, n).
+        gain: K with x[k|k] = x[k|k-1] + K innovation, shape (n, m).
+        M: A - K C A, error dynamics from x[k-1|k-1] to x[k|k] and closed loop of x[k|k], shape (n, n).
+        innovation_cov: S = C P_prior C' + R, shape (m, m).
+    """
+
+    P_prior: Array
+    P_posterior: Array
+    gain: Array
+    M: Array
+    innovation_cov: Array
+
+
+def steady_state(plant: Plant) -> SteadyState:
+    """Solve the filter's algebraic Riccati equation and check the solution.
+
+    Raises:
+        DesignError: the plant varies in time, a mode is not detectable, noise does not reach a mode on the
+            unit circle, or the equation is too ill-conditioned to be solved.
+
+    Examples:
+        >>> from securestate.plant import Plant, Sensor
+        >>> steady = steady_state(Plant([[1.0]], [[2.0]], [Sensor("level", C=[1.0], R=4.0)]))
+        >>> print(steady.P_prior, steady.gain)      # P = P - P^2 / (P + 4) + 2
+        [[4.]] [[0.5]]
+    """
+    if plant.time_varying:
+        raise DesignError("a time-varying plant has no steady state", "give a prior with a covariance P")
+    _refuse_impossible(plant)
+    best, error = None, TOLERANCE
+    for solve in (_solve_schur, _solve_doubling):
+        steady = _finish(plant, solve(plant))
+        if steady is not None and _residual(plant, steady) <= error and _stable(steady.M):
+            best, error = steady, _residual(plant, steady)
+        if best is not None and error <= GOOD:
+            return best
+    if best is not None:
+        return best
+    raise DesignError(
+        "the Riccati equation of this plant is too ill-conditioned to be solved",
+        "rescale the states so that their variances are of similar size",
+    )
+
+
+def _refuse_impossible(plant: Plant) -> None:
+    for mode in _blind(plant.A, plant.C, 1.0 - EDGE, np.inf):
+        raise DesignError(
+            f"no sensor sees the mode with eigenvalue {mode:.6g}, whose error does not decay",
+            "add a sensor that depends on it",
+        )
+    for mode in _blind(plant.A.T, plant.Q, 1.0 - EDGE, 1.0 + EDGE):
+        raise DesignError(
+            f"no process noise reaches the mode with eigenvalue {mode:.6g} on the unit circle, "
+            "so the filter's gain falls to zero",
+            "give Q a component in that mode",
+        )
+
+
+def _blind(A: Array, C: Array, low: float, high: float) -> list[complex]:
+    """Eigenvalues of A with modulus in [low, high] and an eigenvector v with C v = 0 (Hautus test)."""
+    found = []
+    row_scale = np.linalg.norm(C, axis=1, keepdims=True)
+    rows = (C / np.where(row_scale > 0, row_scale, 1.0)).astype(np.complex128)
+    size = max(1.0, float(np.linalg.norm(A, 2)))
+    for value in np.linalg.eigvals(A):
+        if low <= abs(value) <= high:
+            pencil = np.vstack([(A - value * np.eye(len(A))) / size, rows])
+            if np.linalg.svd(pencil, compute_uv=False)[-1] <= 1e-10:
+                found.append(complex(value))
+    return found
+
+
+def _solve_schur(plant: Plant) -> Array | None:
+    """P by the ordered Schur form of the symplectic pencil; None if LAPACK cannot order it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            P = linalg.solve_discrete_are(plant.A.T, plant.C.T, plant.Q, plant.R)
+    except (linalg.LinAlgError, ValueError):
+        return None
+    return np.asarray((P + P.T) / 2, dtype=np.float64) if np.all(np.isfinite(P)) else None
+
+
+def _solve_doubling(plant: Plant, steps: int = 60) -> Array | None:
+    """P by structure-preserving doubling: step k holds the Riccati recursion after 2^k samples."""
+    A, P = plant.A.T, plant.Q
+    G = plant.C.T @ linalg.solve(plant.R, plant.C, assume_a="pos")
+    for _ in range(steps):
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                W = linalg.solve(np.eye(plant.n) + G @ P, np.hstack([A, G]))
+            except (linalg.LinAlgError, ValueError):
+                return None
+            W_A, W_G = W[:, : plant.n], W[:, plant.n :]
+            A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
+        if not np.all(np.isfinite(new)):
+            return None
+        if np.max(np.abs(new - P)) <= 1e-15 * np.max(np.abs(new)):
+            return new
+        P = new
+    return None
+
+
+def _finish(plant: Plant, P: Array | None) -> SteadyState | None:
+    """One Newton step, kept if it brings P closer, and everything that follows from P."""
+    if P is None:
+        return None
+    first = _derive(plant, P)
+    F, noise = _joseph(plant, first.gain)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            refined = linalg.solve_discrete_lyapunov(plant.A @ F, plant.A @ noise @ plant.A.T + plant.Q)
+    except (linalg.LinAlgError, ValueError):
+        return first
+    second = _derive(plant, _symmetric(np.asarray(refined, dtype=np.float64)))
+    return min(first, second, key=lambda steady: _residual(plant, steady))
+
+
+def _derive(plant: Plant, P: Array) -> SteadyState:
+    A, C = plant.A, plant.C
+    S = _symmetric(C @ P @ C.T + plant.R)
+    try:
+        K = linalg.cho_solve(linalg.cho_factor(S), C @ P).T
+    except (linalg.LinAlgError, ValueError):
+        K = np.full((plant.n, plant.m), np.nan)
+    F, noise = _joseph(plant, K)
+    return SteadyState(P, _symmetric(F @ P @ F.T + noise), K, A - K @ (C @ A), S)
+
+
+def _joseph(plant: Plant, K: Array) -> tuple[Array, Array]:
+    """F = I - K C and K R K' of the Joseph form P+ = F P F' + K R K'."""
+    return np.eye(plant.n) - K @ plant.C, K @ plant.R @ K.T
+
+
+def _residual(plant: Plant, steady: SteadyState) -> float:
+    """Largest change of P over one sample, relative to the magnitudes that enter it; inf if not finite."""
+    P = steady.P_prior
+    change = np.abs(plant.A @ steady.P_posterior @ plant.A.T + plant.Q - P)
+    std = np.sqrt(np.maximum(np.diag(P), 0.0))
+    size = np.abs(plant.A) @ std + np.sqrt(np.diag(plant.Q)) + std
+    residual = float(np.max(change / np.maximum(np.outer(size, size), np.finfo(np.float64).tiny)))
+    return residual if np.isfinite(residual) else np.inf
+
+
+def _stable(M: Array) -> bool:
+    return bool(np.max(np.abs(np.linalg.eigvals(M))) < 1.0)
+
+
+def _symmetric(P: Array) -> Array:
+    return np.asarray((P + P.T) / 2, dtype=np.float64)
