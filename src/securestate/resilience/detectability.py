@@ -1,0 +1,201 @@
+"""Modes of a plant that its sensors cannot see, or that its noise does not reach.
+
+The test of Popov, Belevitch and Hautus: a mode (lambda, v) with A v = lambda v is hidden from C if C v = 0,
+that is, if [A - lambda I; C] loses rank. Here every row and column of that matrix is first scaled by the size of
+what it is computed from, so that the units of states and channels hardly matter and cancellation is not taken
+for a signal; rank is lost where a singular value is below 1e-8 of the largest.
+
+Computed eigenvalues of a Jordan block of size k scatter by about eps^(1/k), but their mean is accurate. So the
+means of neighbouring eigenvalues are tested too; a mean that is no eigenvalue does not lose rank.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate import _checks as check
+from securestate.errors import DesignError, InputError
+from securestate.plant import Plant
+
+Array = NDArray[np.float64]
+Complex = NDArray[np.complex128]
+
+CUT = 1 - 1e-9  # a mode of at least this size does not fade
+RANK = 1e-8  # singular value, relative to the largest, that counts as zero
+SAME = 1e-3  # distance within which eigenvalues, and directions, may stand for one mode
+NEIGHBOURS = (1e-7, 1e-5, 1e-3)  # scatter of Jordan blocks of size 2, 3 and 5
+SHARE = 0.5  # a state is named if its part in a direction is at least this much of the largest
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """One mode of the dynamics.
+
+    Attributes:
+        eigenvalue: complex; one with a positive imaginary part stands for itself and its conjugate.
+        states: names of the states with the largest share in the direction, largest first.
+        direction: unit vector (n,), complex, its largest entry real and positive.
+    """
+
+    eigenvalue: complex
+    states: tuple[str, ...]
+    direction: Complex
+
+    def __str__(self) -> str:
+        value = self.eigenvalue
+        shown = f"{value.real:.6g}" + (f" ± {value.imag:.6g}i" if value.imag else "")
+        return f"mode {shown} ({', '.join(self.states)})"
+
+
+def undetectable_modes(plant: Plant, cut: float = CUT) -> tuple[Mode, ...]:
+    """Find the modes with |eigenvalue| >= cut that no sensor sees; none means that the plant is detectable.
+
+    Raises:
+        DesignError: the plant varies in time.
+        InputError: cut is not a number >= 0.
+
+    Examples:
+        >>> from securestate.plant import Sensor
+        >>> plant = Plant([[1, 1], [0, 1]], [[1, 0], [0, 1]], [Sensor("speed", C=[0, 1], R=1)])
+        >>> print(undetectable_modes(plant)[0])
+        mode 1 (x1)
+    """
+    _require_constant(plant)
+    return _hidden(plant.A, plant.C, cut, plant.state_names)
+
+
+def unobserved_modes(plant: Plant, sensor: int, cut: float = CUT) -> tuple[Mode, ...]:
+    """Find the modes with |eigenvalue| >= cut that one sensor, counted from 0, does not see on its own.
+
+    Raises:
+        DesignError: the plant varies in time.
+        InputError: there is no such sensor, or cut is not a number >= 0.
+    """
+    _require_constant(plant)
+    return _hidden(plant.A, plant.C[plant.channels_of(sensor)], cut, plant.state_names)
+
+
+def unreachable_noise_modes(plant: Plant, cut: float = CUT) -> tuple[Mode, ...]:
+    """Find the modes with |eigenvalue| >= cut that the process noise Q does not excite.
+
+    At |eigenvalue| = 1 such a mode means that a stabilising steady-state filter does not exist: its gain
+    there goes to zero. A direction belongs to A transposed: the combination of states that gets no noise.
+
+    Raises:
+        DesignError: the plant varies in time.
+        InputError: cut is not a number >= 0.
+    """
+    _require_constant(plant)
+    return _hidden(plant.A.T, _range(plant.Q).T, cut, plant.state_names)
+
+
+def _require_constant(plant: Plant) -> None:
+    if plant.time_varying:
+        which = "A" if plant.A.ndim == 3 else "C"
+        raise DesignError(
+            f"plant: {which} varies in time ({plant.horizon} samples), so it has no fixed modes",
+            "give a plant with constant A and C, for example its value at one sample",
+        )
+
+
+def _hidden(A: Array, C: Array, cut: float, names: tuple[str, ...]) -> tuple[Mode, ...]:
+    """Return the modes of A with |eigenvalue| >= cut whose direction C maps to zero, largest first."""
+    least = check.real_array("cut", cut, InputError)
+    if least.ndim or least < 0:
+        raise InputError("cut", "a number >= 0", check.describe(cut))
+    tested = [(value, *_null_space(A, C, value)) for value in _candidates(A) if abs(value) >= least]
+    found: list[tuple[complex, Complex]] = []
+    for value, _, directions in sorted(tested, key=lambda item: item[1]):
+        for direction in _readable(directions):
+            if not any(_alike(value, direction, *other) for other in found):
+                found.append((value, direction))
+    found.sort(key=lambda item: (-abs(item[0]), -item[0].real))
+    return tuple(Mode(value, _largest(direction, names), direction) for value, direction in found)
+
+
+def _candidates(A: Array) -> list[complex]:
+    """Return eigenvalues of A and means of neighbouring ones; of a conjugate pair the upper one."""
+    values = np.linalg.eigvals(A).astype(np.complex128)
+    means = [mean for reach in NEIGHBOURS for mean in _means(values, reach * max(1.0, np.abs(values).max()))]
+    return [complex(value.real, abs(value.imag)) for value in [*values, *means] if value.imag >= 0]
+
+
+def _means(values: Complex, reach: float) -> Iterator[complex]:
+    """Yield the mean of every group of two or more eigenvalues that are linked by steps up to `reach`."""
+    linked = np.abs(values[:, None] - values) <= reach
+    left = set(range(len(values)))
+    while left:
+        group = {left.pop()}
+        while grown := {j for i in group for j in np.flatnonzero(linked[i]).tolist()} & left:
+            group |= grown
+            left -= grown
+        if len(group) > 1:
+            mean = values[sorted(group)].mean()
+            yield complex(mean.real, 0.0 if abs(mean.imag) < 1e-12 * abs(mean) else mean.imag)
+
+
+def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
+    """Return the smallest relative singular value of [A - value I; C] and the directions (d, n) lost."""
+    n = len(A)
+    stacked = np.vstack([A - value * np.eye(n), C])
+    rows, columns = _equilibrium(np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)]))
+    _, sizes, Vh = np.linalg.svd(rows[:, None] * stacked * columns)
+    sizes = np.concatenate([sizes, np.zeros(n - len(sizes))]) / max(sizes[0], np.finfo(np.float64).tiny)
+    return float(sizes[-1]), Vh[sizes <= RANK].conj() * columns
+
+
+def _equilibrium(sizes: Array) -> tuple[Array, Array]:
+    """Return factors of rows and columns that bring the largest entry of each to about 1 (Ruiz 2001)."""
+    rows, columns = np.ones(sizes.shape[0]), np.ones(sizes.shape[1])
+    for _ in range(20):
+        scaled = rows[:, None] * sizes * columns
+        rows = rows / np.sqrt(_or_one(scaled.max(axis=1)))
+        columns = columns / np.sqrt(_or_one(scaled.max(axis=0)))
+    return rows, columns
+
+
+def _or_one(sizes: Array) -> Array:
+    return np.where(sizes > 0, sizes, 1.0)
+
+
+def _readable(directions: Complex) -> list[Complex]:
+    """Return a basis of the same space in which every direction has a state that the others lack."""
+    basis = directions.copy()
+    for k in range(len(basis)):
+        rest = np.abs(basis[k:])
+        row, pivot = np.unravel_index(int(np.argmax(rest)), rest.shape)
+        basis[[k, k + int(row)]] = basis[[k + int(row), k]]
+        basis[k] /= basis[k, pivot]
+        others = np.arange(len(basis)) != k
+        basis[others] -= np.outer(basis[others, pivot], basis[k])
+    return [_normal(direction) for direction in basis]
+
+
+def _normal(direction: Complex) -> Complex:
+    """Return the direction with length 1, its largest entry real and positive, read-only."""
+    largest = direction[int(np.argmax(np.abs(direction)))]
+    unit: Complex = direction / (largest / abs(largest)) / np.linalg.norm(direction)
+    unit.setflags(write=False)
+    return unit
+
+
+def _alike(value: complex, direction: Complex, other: complex, known: Complex) -> bool:
+    near = abs(value - other) <= SAME * max(1.0, abs(other))
+    return near and bool(np.linalg.norm(direction - known * np.vdot(known, direction)) <= SAME)
+
+
+def _largest(direction: Complex, names: tuple[str, ...]) -> tuple[str, ...]:
+    share = np.abs(direction)
+    order = np.argsort(-share, kind="stable")
+    return tuple(names[i] for i in order if share[i] >= SHARE * share.max())
+
+
+def _range(Q: Array) -> Array:
+    """Return columns that span the range of Q, judged on its correlations and therefore free of units."""
+    spread = np.sqrt(_or_one(np.diag(Q)))
+    sizes, vectors = np.linalg.eigh(Q / spread[:, None] / spread)
+    kept = sizes > 1e-12 * max(1.0, sizes[-1])
+    columns: Array = spread[:, None] * vectors[:, kept]
+    return columns
