@@ -65,7 +65,11 @@ def made_run(
         innovation=2.0 * noise + attack,
         innovation_std=np.full((samples, plant.m), 2.0),
         status=np.zeros(samples, dtype=np.uint8),
-        diagnostics={"fast_path": fast, "iterations": np.where(fast == 1, 0.0, 7.0), "gap": 1e-12 * (1 - fast)},
+        diagnostics={
+            "fast_path": fast,
+            "iterations": np.where(fast == 1, 0.0, 7.0),
+            "gap": 1e-12 * (1 - fast),
+        },
         time=time,
     )
 

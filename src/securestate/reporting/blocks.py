@@ -67,7 +67,7 @@ def manifest(run: Run, summary: Summary, clock: Clock, blocks: Packed) -> dict[s
     plant = run.plant
     return {
         "samples": summary.samples,
-        "time": {"unit": clock.unit, "regular": clock.regular},
+        "time": {"unit": clock.unit, "decimals": clock.decimals, "regular": clock.regular},
         "bound": BOUND,
         "sensors": [{"name": s.name, "lies": s.lies, "share": s.suspected} for s in summary.sensors],
         "channels": [

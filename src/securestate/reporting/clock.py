@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -48,7 +49,14 @@ class Clock:
             moment = np.datetime64(int(round(value)), "ms")
             whole = np.all(self.values % 60000 == 0)
             return str(np.datetime_as_string(moment, unit="m" if whole else "s")).replace("T", " ")
-        return f"sample {index}" if self.unit == "sample" else f"{value:.6g} {self.unit}"
+        return f"sample {index}" if self.unit == "sample" else f"{value:.{self.decimals}f} {self.unit}"
+
+    @property
+    def decimals(self) -> int:
+        """Decimals that tell one sample from the next."""
+        steps = np.diff(self.values)
+        step = float(np.median(steps)) if steps.size else 1.0
+        return min(9, max(0, math.ceil(-math.log10(step)))) if step > 0 else 9
 
     @property
     def span(self) -> str:

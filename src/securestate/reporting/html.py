@@ -81,7 +81,9 @@ def render(
         statuses=tables.statuses(summary),
         plant=tables.plant(run),
         manifest=_json(manifest(run, summary, clock, blocks)),
-        data="\n".join(f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items()),
+        data="\n".join(
+            f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items()
+        ),
     )
 
 
@@ -94,7 +96,9 @@ def _remarks(summary: Summary) -> list[str]:
         remarks.append("KalmanFilter trusts every sensor: it does not look for liars.")
     bad = sum(s.count for s in summary.statuses if s.name != "OK")
     if bad:
-        remarks.append(f"{bad:,} of {summary.samples:,} samples ended with a status other than OK; see Solver.")
+        remarks.append(
+            f"{bad:,} of {summary.samples:,} samples ended with a status other than OK; see Status."
+        )
     return remarks
 
 

@@ -32,7 +32,9 @@ class Block:
     text: str
 
 
-def pack(values: NDArray[np.float64], finest: NDArray[np.float64] | float = 0.0, *, delta: bool = False) -> Block:
+def pack(
+    values: NDArray[np.float64], finest: NDArray[np.float64] | float = 0.0, *, delta: bool = False
+) -> Block:
     """Pack a (rows, columns) table; not finite values become NaN.
 
     Args:
@@ -59,7 +61,11 @@ def pack(values: NDArray[np.float64], finest: NDArray[np.float64] | float = 0.0,
 
 def unpack(block: Block) -> NDArray[np.float64]:
     """The (rows, columns) table of a block, as the report's script sees it."""
-    planes = np.frombuffer(gzip.decompress(base64.b64decode(block.text)), np.uint8).astype(np.uint16).reshape(2, -1)
+    planes = (
+        np.frombuffer(gzip.decompress(base64.b64decode(block.text)), np.uint8)
+        .astype(np.uint16)
+        .reshape(2, -1)
+    )
     codes = (planes[0] | planes[1] << 8).view(np.int16).reshape(block.columns, block.rows)
     if block.delta:
         codes = np.cumsum(codes, axis=1, dtype=np.int16)

@@ -144,7 +144,9 @@ def summarise(run: Run) -> Summary:
 def require_one_run(run: Run) -> None:
     """Raise InputError unless `run` is one run of at least one sample."""
     if run.x.ndim != 2 or run.x.shape[0] == 0:
-        raise InputError("run", "one run of at least one sample, x of shape (T, n)", f"x of shape {run.x.shape}")
+        raise InputError(
+            "run", "one run of at least one sample, x of shape (T, n)", f"x of shape {run.x.shape}"
+        )
 
 
 def _sensor(run: Run, i: int) -> SensorSummary:
@@ -190,7 +192,8 @@ def _injections(run: Run, i: int) -> tuple[Injection, ...]:
     names, units = run.plant.channel_names[channels], run.plant.units[channels]
     estimates = run.attack[suspected, channels].T
     return tuple(
-        Injection(name, unit, *_centre(values)) for name, unit, values in zip(names, units, estimates, strict=True)
+        Injection(name, unit, *_centre(values))
+        for name, unit, values in zip(names, units, estimates, strict=True)
     )
 
 

@@ -57,11 +57,12 @@ def _sensor_row(s: SensorSummary, head: Sequence[str], clock: Clock) -> str:
         _share(s.suspected),
         _moment(s.since, clock),
         _moment(s.first_alarm, clock),
-        "<br>".join(_injection(i, named=len(s.injections) > 1) for i in s.injections if not math.isnan(i.median)),
+        "<br>".join(
+            _injection(i, named=len(s.injections) > 1) for i in s.injections if not math.isnan(i.median)
+        ),
         _share(s.missing),
     )
-    columns = "".join(f'<td data-label="{h}">{c or "–"}</td>' for h, c in zip(head, cells, strict=True))
-    return f'<tr class="liar">{columns}</tr>' if s.lies else f"<tr>{columns}</tr>"
+    return _row(head, cells, "liar" if s.lies else "")
 
 
 def _verdict(s: SensorSummary) -> str:
@@ -116,10 +117,14 @@ def statuses(summary: Summary) -> str:
     """Counts and advice per status, and the solver's figures."""
     head = ("Status", "Samples", "What to do")
     rows = (
-        (f'<span class="key status-{escape(s.name)}"></span>{escape(s.name)}', f"{s.count:,}", escape(s.advice))
+        (
+            f'<span class="key status-{escape(s.name)}"></span>{escape(s.name)}',
+            f"{s.count:,}",
+            escape(s.advice),
+        )
         for s in summary.statuses
     )
-    return _plain_table(head, rows) + "".join(f"<p>{line}</p>" for line in _solver(summary))
+    return f"{_plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>"
 
 
 def _solver(summary: Summary) -> list[str]:
@@ -140,9 +145,24 @@ def plant(run: Run) -> str:
     owners = [p.sensor_names[i] for i in p.channel_sensor]
     head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
     rows = (
-        (escape(name), escape(owner), escape(unit), f"{o:.6g}", f"{s:.6g}", f"{sigma:.3g}", "yes" if safe else "")
+        (
+            escape(name),
+            escape(owner),
+            escape(unit),
+            f"{o:.6g}",
+            f"{s:.6g}",
+            f"{sigma:.3g}",
+            "yes" if safe else "",
+        )
         for name, owner, unit, o, s, sigma, safe in zip(
-            p.channel_names, owners, p.units, p.offset, p.scale, noise, p.protected[p.channel_sensor], strict=True
+            p.channel_names,
+            owners,
+            p.units,
+            p.offset,
+            p.scale,
+            noise,
+            p.protected[p.channel_sensor],
+            strict=True,
         )
     )
     return (
@@ -164,11 +184,16 @@ def _settings(run: Run) -> Iterable[tuple[str, str]]:
 
 
 def _plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    def line(cells: Sequence[str]) -> str:
-        columns = "".join(f'<td data-label="{h}">{c or "–"}</td>' for h, c in zip(head, cells, strict=True))
-        return f"<tr>{columns}</tr>"
+    return _table(head, [_row(head, cells) for cells in rows])
 
-    return _table(head, [line(cells) for cells in rows])
+
+def _row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
+    """A row; on a phone every cell carries its heading, and empty cells are left out."""
+    columns = (
+        f'<td data-label="{h}">{c}</td>' if c else f'<td data-label="{h}" class="empty">–</td>'
+        for h, c in zip(head, cells, strict=True)
+    )
+    return f'<tr class="{kind}">{"".join(columns)}</tr>'
 
 
 def _table(head: Sequence[str], rows: Sequence[str]) -> str:

@@ -20,6 +20,12 @@ function leftMargin() {
   return 22 + 6.6 * Math.min(Math.max(6, ...names), PHONE.matches ? 11 : 24);
 }
 
+const DATE_TICKS = [
+  { dtickrange: [null, 60000], value: "%H:%M:%S\n%Y-%m-%d" },
+  { dtickrange: [60000, 86400000], value: "%H:%M\n%Y-%m-%d" },
+  { dtickrange: [86400000, null], value: "%Y-%m-%d" },
+];
+
 function timeAxis(view, clock) {
   const titles = { date: "", sample: "sample", s: "time (s)", min: "time (min)", h: "time (h)", d: "time (d)" };
   return {
@@ -27,11 +33,7 @@ function timeAxis(view, clock) {
     range: [clock.edge(view.from), clock.edge(view.to)],
     title: { text: titles[clock.unit], standoff: 6, font: { size: 11 } },
     hoverformat: clock.unit === "date" ? "%Y-%m-%d %H:%M:%S" : ".7~g",
-    tickformatstops: [
-      { dtickrange: [null, 60000], value: "%H:%M:%S\n%Y-%m-%d" },
-      { dtickrange: [60000, 86400000], value: "%H:%M\n%Y-%m-%d" },
-      { dtickrange: [86400000, null], value: "%Y-%m-%d" },
-    ],
+    tickformatstops: clock.unit === "date" ? DATE_TICKS : [],
     nticks: PHONE.matches ? 4 : 10,
     gridcolor: css("line"), zeroline: false, linecolor: css("line"), ticks: "outside", tickcolor: css("line"),
   };
@@ -51,9 +53,9 @@ function layout(height, more) {
 }
 
 /** A heat map with one named row per entry of z, over the bins that start at `starts`. */
-function heatmap(view, clock, starts, names, z, hover, scale, [low, high], rowHeight) {
+function heatmap(view, clock, starts, names, z, hover, scale, [low, high]) {
   const count = names.length;
-  const every = Math.max(1, Math.ceil(12 / rowHeight));
+  const every = Math.max(1, Math.ceil(12 / rowHeight(count)));
   const rows = names.map((_, i) => i).filter((i) => i % every === 0);
   return {
     data: [{
@@ -61,11 +63,11 @@ function heatmap(view, clock, starts, names, z, hover, scale, [low, high], rowHe
       zmin: low, zmax: high, colorscale: scale, showscale: false, hoverongaps: false,
       hovertemplate: "%{customdata}<extra></extra>",
     }],
-    layout: layout(count * rowHeight + 60, {
+    layout: layout(heatHeight(count), {
       xaxis: { ...timeAxis(view, clock), showgrid: false },
       yaxis: {
         range: [count - 0.5, -0.5], fixedrange: true, tickvals: rows, ticktext: rows.map((i) => names[i]),
-        showgrid: false, zeroline: false, ticks: "",
+        showgrid: false, zeroline: false, ticks: "outside", ticklen: 5, tickcolor: "rgba(0,0,0,0)",
       },
       plot_bgcolor: css("missing"), hovermode: "closest",
     }),
@@ -73,29 +75,50 @@ function heatmap(view, clock, starts, names, z, hover, scale, [low, high], rowHe
 }
 
 const rowHeight = (count) => Math.max(7, Math.min(26, Math.round(840 / count)));
+const heatHeight = (count) => count * rowHeight(count) + 60;
+
+const suspectedText = (share) => (share === 1 ? " · suspected" : share ? ` · suspected ${Math.ceil(100 * share)} % of it` : "");
+
+/** Whether a sensor was suspected, by sample. */
+function suspicion(suspected, sensor) {
+  const flags = suspected.column(sensor);
+  return (i) => suspected.value(sensor, flags[i]) > 0.5;
+}
 
 function when(clock, starts, b) {
   const first = clock.text(starts[b]);
   return starts[b + 1] - starts[b] === 1 ? first : `${first} – ${clock.text(starts[b + 1] - 1)}`;
 }
 
-/** Least trust per bin; a bin with any suspected sample is red. */
+/** Least trust per bin; a bin with a suspected sample is red, the more of them the deeper. */
 function trustChart({ trust, suspected }, view, clock, most) {
   const starts = bins(view.from, view.to, most);
   const z = [], hover = [];
   MANIFEST.sensors.forEach((sensor, s) => {
     const least = extremes(trust.column(s), starts, (a, b) => a < b).map((code) => code === null ? null : trust.value(s, code));
-    const lies = extremes(suspected.column(s), starts, (a, b) => a > b).map((code) => suspected.value(s, code) > 0.5);
-    z.push(least.map((value, b) => (lies[b] ? -0.5 : value)));
+    const share = shares(starts, suspicion(suspected, s));
+    z.push(least.map((value, b) => (share[b] ? -Math.sqrt(share[b]) : value)));
     hover.push(least.map((value, b) =>
-      `<b>${plain(sensor.name)}</b><br>${when(clock, starts, b)}<br>trust ${value === null ? "–" : value.toFixed(2)}${lies[b] ? " · suspected" : ""}`));
+      `<b>${plain(sensor.name)}</b><br>${when(clock, starts, b)}<br>trust ${value === null ? "–" : value.toFixed(2)}${suspectedText(share[b])}`));
   });
   const names = MANIFEST.sensors.map((s) => (s.lies ? tone(short(s.name), css("red")) : short(s.name)));
-  const scale = [[0, css("red")], [0.4999, css("red")], [0.5, css("trust-none")], [1, css("trust-full")]];
-  return heatmap(view, clock, starts, names, z, hover, scale, [-1, 1], rowHeight(names.length));
+  const scale = [[0, css("red")], [0.4999, css("red-faint")], [0.5, css("trust-none")], [1, css("trust-full")]];
+  return heatmap(view, clock, starts, names, z, hover, scale, [-1, 1]);
 }
 
-/** Greatest |innovation| per bin, in standard deviations; beyond the bound it turns from blue to amber. */
+/** The bound that the largest of `width` normal values passes as rarely as a single one passes `bound`. */
+function boundOfLargest(bound, width) {
+  const rare = (z) => Math.exp(-z * z / 2) / (z + 1 / (z + 2 / (z + 3 / (z + 4 / z))));
+  let low = bound, high = bound + 10;
+  for (let i = 0; i < 50; i++) {
+    const middle = (low + high) / 2;
+    if (width * rare(middle) > rare(bound)) low = middle;
+    else high = middle;
+  }
+  return low;
+}
+
+/** Greatest |innovation| per bin, in standard deviations; beyond the bound for such a bin it turns from blue to amber. */
 function surpriseChart({ ratio }, view, clock, most) {
   const starts = bins(view.from, view.to, most);
   const z = [], hover = [];
@@ -113,7 +136,7 @@ function surpriseChart({ ratio }, view, clock, most) {
   });
   const names = MANIFEST.channels.map((c) => MANIFEST.sensors[c.sensor].lies ? tone(short(c.name), css("red")) : short(c.name));
   const scale = [[0, css("calm")], [0.4999, css("bound")], [0.5, css("over")], [1, css("far")]];
-  return heatmap(view, clock, starts, names, z, hover, scale, [0, 2 * MANIFEST.bound], rowHeight(names.length));
+  return heatmap(view, clock, starts, names, z, hover, scale, [0, 2 * boundOfLargest(MANIFEST.bound, starts[1] - starts[0])]);
 }
 
 /** The status of every sample as one strip; the worst of every bin. */
@@ -124,7 +147,7 @@ function statusChart({ status }, view, clock, most) {
   const colours = [css("calm"), css("missing"), css("over"), css("purple")];
   const scale = colours.flatMap((colour, i) => [[i / 4, colour], [(i + 0.9999) / 4, colour]]).concat([[1, colours[3]]]);
   const hover = worst.map((code, b) => `${when(clock, starts, b)}<br>${names[code]}`);
-  return heatmap(view, clock, starts, ["status"], [worst], [hover], scale, [-0.5, 3.5], 26);
+  return heatmap(view, clock, starts, ["status"], [worst], [hover], scale, [-0.5, 3.5]);
 }
 
 /** One line over the window, thinned; red at the samples where `isRed` says so. */
@@ -135,7 +158,7 @@ function lineTraces(view, clock, axis, column, value, isRed) {
   const line = { x, y, mode, yaxis: axis, line: { color: css("accent"), width: 1.2 }, marker: { size: 4 }, hovertemplate: "%{y:.4~g}<extra></extra>" };
   if (!isRed) return [line];
   const red = y.map((v, i) => (isRed(samples[i]) ? v : null));
-  const mark = { x, y: red, mode: "lines+markers", yaxis: axis, line: { color: css("red"), width: 1.4 }, marker: { size: 3 }, hoverinfo: "skip" };
+  const mark = { x, y: red, mode: "lines+markers", yaxis: axis, line: { color: css("red"), width: 1.4 }, marker: { size: samples.length < 400 ? 4 : 2 }, hoverinfo: "skip" };
   return [line, mark];
 }
 

@@ -34,7 +34,7 @@ async function unpack(name) {
 
 /** Time axis: sample index to axis value and back. Dates are milliseconds since 1970. */
 async function makeClock() {
-  const { unit, regular } = MANIFEST.time;
+  const { unit, decimals, regular } = MANIFEST.time;
   const table = regular ? null : new Float64Array(await gunzip("data-time"));
   const at = (i) => (table ? table[i] : regular[0] + regular[1] * i);
   const last = SAMPLES - 1;
@@ -56,7 +56,7 @@ async function makeClock() {
   };
   const text = (i) => {
     if (unit === "date") return new Date(at(i)).toISOString().replace("T", " ").replace(/(:00)?\.\d+Z$/, "");
-    return unit === "sample" ? `sample ${i}` : `${Number(at(i).toPrecision(6))} ${unit}`;
+    return unit === "sample" ? `sample ${i}` : `${at(i).toFixed(decimals)} ${unit}`;
   };
   return { unit, at, edge, index, text };
 }
@@ -86,6 +86,16 @@ function thin(column, from, to, most) {
     else samples.push(Math.min(least, greatest), Math.max(least, greatest));
   }
   return samples;
+}
+
+/** In what share of the samples of every bin `holds` is true. */
+function shares(starts, holds) {
+  const result = new Array(starts.length - 1).fill(0);
+  for (let b = 0; b < result.length; b++) {
+    for (let i = starts[b]; i < starts[b + 1]; i++) if (holds(i)) result[b]++;
+    result[b] /= starts[b + 1] - starts[b];
+  }
+  return result;
 }
 
 /** The extreme of every bin of a column by `better(new, old)`; null where all is missing. */

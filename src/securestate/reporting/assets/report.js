@@ -16,9 +16,9 @@ const observer = new IntersectionObserver((entries) => {
 function draw(chart) {
   if (!chart.visible || !chart.stale) return;
   chart.stale = false;
-  const figure = chart.figure();
+  const { data, layout } = chart.figure();
   const first = !chart.div.on;
-  Plotly.react(chart.div, figure.data, figure.layout, { displayModeBar: false, responsive: true, doubleClick: false });
+  Plotly.react(chart.div, data, { ...layout, width: chart.div.clientWidth }, { displayModeBar: false, doubleClick: false });
   if (!first) return;
   chart.div.on("plotly_relayout", (change) => {
     if (change["xaxis.range[0]"] !== undefined) zoom(change["xaxis.range[0]"], change["xaxis.range[1]"]);
@@ -32,8 +32,10 @@ function redraw() {
   requestAnimationFrame(() => charts.forEach(draw));
 }
 
-function addChart(section, figure) {
+/** Its height is reserved at once, so that the page does not jump when it is drawn. */
+function addChart(section, height, figure) {
   const div = section.querySelector(".plot");
+  div.style.minHeight = `${height}px`;
   const chart = { div, figure, stale: true, visible: false };
   charts.push(chart);
   observer.observe(div);
@@ -76,7 +78,7 @@ const most = (div) => Math.min(1500, Math.max(200, Math.round(div.clientWidth - 
 function pages(section, names, perPage, row, height) {
   const pager = section.querySelector(".pager");
   let first = 0;
-  const chart = addChart(section, () => {
+  const chart = addChart(section, Math.min(perPage, names.length) * height + 60, () => {
     const shown = names.slice(first, first + perPage).map((_, i) => row(first + i));
     return stack(shown, view, clock, height);
   });
@@ -114,19 +116,13 @@ const ranked = MANIFEST.channels.map((_, i) => i).sort((a, b) => {
   return t.lies - s.lies || t.share - s.share || a - b;
 });
 
-/** Whether a channel's sensor was suspected, by sample. */
-function suspicion(suspected, channel) {
-  const { sensor } = MANIFEST.channels[channel], flags = suspected.column(sensor);
-  return (i) => suspected.value(sensor, flags[i]) > 0.5;
-}
-
 function channelRow(table, suspected, c, unit, shapes) {
   const channel = MANIFEST.channels[c], column = table.column(c);
   const title = plain(withUnit(channel.name, unit));
   return {
     title: MANIFEST.sensors[channel.sensor].lies ? tone(title, css("red")) : title,
     shapes,
-    traces: (axis) => lineTraces(view, clock, axis, column, (code) => table.value(c, code), suspicion(suspected, c)),
+    traces: (axis) => lineTraces(view, clock, axis, column, (code) => table.value(c, code), suspicion(suspected, channel.sensor)),
   };
 }
 
@@ -158,7 +154,7 @@ const sectionOf = (name) => document.querySelector(`section[data-chart="${name}"
 async function buildTrust() {
   const data = { trust: await unpack("trust"), suspected: await unpack("suspected") };
   const section = sectionOf("trust");
-  addChart(section, () => trustChart(data, view, clock, most(section.querySelector(".plot"))));
+  addChart(section, heatHeight(MANIFEST.sensors.length), () => trustChart(data, view, clock, most(section.querySelector(".plot"))));
   return data.suspected;
 }
 
@@ -180,8 +176,8 @@ async function buildStates() {
 
 async function buildInnovations(suspected) {
   const ratio = await unpack("ratio"), section = sectionOf("surprise"), bound = MANIFEST.bound;
-  document.getElementById("surprise-key").textContent = `0 to ${bound}σ, beyond ${bound}σ, ${2 * bound}σ and more`;
-  const chart = addChart(section, () => surpriseChart({ ratio }, view, clock, most(section.querySelector(".plot"))));
+  const chart = addChart(section, heatHeight(MANIFEST.channels.length), () =>
+    surpriseChart({ ratio }, view, clock, most(section.querySelector(".plot"))));
   const shapes = (axis) => [dashed(bound, axis), dashed(-bound, axis)];
   const lines = pages(sectionOf("innovations"), ranked.map((c) => MANIFEST.channels[c].name), 3,
     (i) => channelRow(ratio, suspected, ranked[i], "σ", shapes), 140);
@@ -200,7 +196,7 @@ function whenDrawn(chart, then) {
 
 async function buildSolver() {
   const status = await unpack("status"), section = sectionOf("status");
-  addChart(section, () => statusChart({ status }, view, clock, most(section.querySelector(".plot"))));
+  addChart(section, heatHeight(1), () => statusChart({ status }, view, clock, most(section.querySelector(".plot"))));
   if (!MANIFEST.blocks.diagnostics) {
     sectionOf("diagnostics").hidden = true;
     return;
@@ -212,22 +208,22 @@ async function buildSolver() {
 /** What a heat-map column stands for, said where it stands for more than one sample. */
 function explainBins() {
   const width = Math.ceil((view.to - view.from) / most(document.querySelector(".plot")));
-  const chance = 100 * (1 - Math.pow(0.9973, width));
+  const bound = boundOfLargest(MANIFEST.bound, width), sigmas = (z) => `${Number(z.toFixed(1))}σ`;
   document.getElementById("trust-hint").textContent = width < 2 ? "" :
-    `Each column is ${width} samples: the least trust among them, red if any was suspected. Zoom in for single samples.`;
+    `Each column is ${width} samples: the least trust among them; red if any was suspected, the more the deeper. Zoom in for single samples.`;
   document.getElementById("surprise-hint").textContent = (width < 2 ? "" :
-    `Each column is the largest of ${width} samples; by chance alone ${chance < 10 ? chance.toFixed(1) : Math.round(chance)} % of columns pass ${MANIFEST.bound}σ. `) +
+    `Each column is the largest of ${width} samples, which passes ${sigmas(bound)} as rarely as a single one passes ${sigmas(MANIFEST.bound)}. `) +
     "Select a row to see its channel below.";
+  document.getElementById("surprise-key").textContent = `0 to ${sigmas(bound)}, beyond, ${sigmas(2 * bound)} and more`;
 }
 
-/** The page in its print colours and at paper width while it is printed. */
+/** The page in light colours and at paper width while it is printed. */
 function printAs(printing) {
-  document.documentElement.style.setProperty("--print", printing ? "1" : "0");
+  document.documentElement.classList.toggle("printing", printing);
   for (const chart of charts) {
     chart.stale = true;
-    if (printing) chart.visible = true;
+    chart.visible ||= printing;
     draw(chart);
-    if (chart.div.on) Plotly.relayout(chart.div, printing ? { width: 680, autosize: false } : { autosize: true, width: null });
   }
 }
 
