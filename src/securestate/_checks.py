@@ -36,9 +36,9 @@ def real_array(argument: str, value: object, error: Error) -> Array:
         raise error(argument, "an array of real numbers", _wrong_kind(raw, value))
     with np.errstate(over="ignore"):
         numbers = raw.astype(np.float64)
-    bad = np.argwhere(~np.isfinite(numbers))
-    if bad.size:
-        where = tuple(int(i) for i in bad[0])
+    finite = np.isfinite(numbers)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
         raise error(
             argument, "finite numbers", f"{numbers[where]} at {list(where)}" if where else str(numbers)
         )

@@ -9,6 +9,7 @@ import os
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -139,7 +140,7 @@ def _arrays(path: Path, name: object) -> dict[str, check.Array]:
     if not beside.is_file():
         raise PlantError("[plant] arrays", f"a file {beside}", "nothing there")
     try:
-        with np.load(beside, allow_pickle=False) as stored:
+        with np.load(BytesIO(beside.read_bytes()), allow_pickle=False) as stored:
             return {key: stored[key] for key in stored.files}
     except Exception as error:  # a damaged archive fails in zipfile, zlib or numpy, each in its own way
         raise PlantError("[plant] arrays", f"an NPZ file of plain arrays in {beside}", str(error)) from None

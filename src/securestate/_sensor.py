@@ -84,7 +84,7 @@ class Sensor(Value):
 def _observation(argument: str, value: object) -> Array:
     """Return C with shape (c, n) or (T, c, n), no channel blind to every state at all times."""
     numbers = check.real_array(argument, value, PlantError)
-    if numbers.ndim == 1:
+    if numbers.ndim == 1 and numbers.size:
         numbers = numbers[None, :]
     if numbers.ndim not in (2, 3) or not numbers.size:
         raise PlantError(argument, "shape (n,), (c, n) or (T, c, n)", f"shape {numbers.shape}")

@@ -1,12 +1,12 @@
 """Modes of a plant that its sensors cannot see, or that its noise does not reach.
 
 The test of Popov, Belevitch and Hautus: a mode (lambda, v) with A v = lambda v is hidden from C if C v = 0,
-that is, if [A - lambda I; C] loses rank. Here every row and column of that matrix is first scaled by the size of
-what it is computed from, so that the units of states and channels hardly matter and cancellation is not taken
-for a signal; rank is lost where a singular value is below 1e-8 of the largest.
+that is, if [A - lambda I; C] loses rank. Here every row and column of that matrix is first scaled by the size
+of what it is computed from, so that the units of states and channels hardly matter and cancellation is not
+taken for a signal; rank is lost where a singular value is below 1e-8 of the largest.
 
-Computed eigenvalues of a Jordan block of size k scatter by about eps^(1/k), but their mean is accurate. So the
-means of neighbouring eigenvalues are tested too; a mean that is no eigenvalue does not lose rank.
+Computed eigenvalues of a Jordan block of size k scatter by about eps^(1/k), but their mean is accurate. So
+the means of neighbouring eigenvalues are tested too; a mean that is no eigenvalue does not lose rank.
 """
 
 from collections.abc import Iterator
