@@ -1,4 +1,4 @@
-"""Runs made up for the report: white innovations, slow states, and sensors that lie from a known sample on."""
+"""Runs made up for the report: white innovations, slow states, sensors that lie from a known sample on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the report's script gets: the run's arrays packed at full resolution, and the names that go with them."""
+"""What the report's script gets: the run's arrays packed at full resolution, and the names they go by."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from securestate.reporting.payload import Block, pack, pack_bytes
 from securestate.reporting.summary import Summary
 
 if TYPE_CHECKING:
-    from securestate.estimators.base import Run
+    from securestate.estimators.run import Run
 
 BOUND = 3.0
 """Normalised innovations beyond ± BOUND are rare (0.27 %) when the model holds and nobody lies."""
@@ -45,7 +45,7 @@ def pack_run(run: Run, clock: Clock) -> Packed:
 
 
 def normalised_innovation(run: Run) -> NDArray[np.float64]:
-    """Innovation over its standard deviation, (T, m); NaN where either is missing or the deviation is zero."""
+    """Innovation over its standard deviation, (T, m); NaN where one is missing or the deviation is zero."""
     scale = np.where(run.innovation_std > 0, run.innovation_std, np.nan)
     ratio: NDArray[np.float64] = run.innovation / scale
     return ratio

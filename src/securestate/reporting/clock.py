@@ -1,4 +1,4 @@
-"""Times of a run as a reader wants them: ISO dates, or seconds, minutes, hours, days, or plain sample numbers."""
+"""Times of a run as a reader wants them: ISO dates, seconds, minutes, hours, days, or sample numbers."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from securestate.estimators.base import Run
+    from securestate.estimators.run import Run
 
 UNITS = (("d", 86400.0, 14 * 86400.0), ("h", 3600.0, 3 * 3600.0), ("min", 60.0, 600.0), ("s", 1.0, 0.0))
 """Unit, its seconds, and the shortest span in seconds it is used for."""
@@ -25,7 +25,7 @@ class Clock:
 
     @classmethod
     def of(cls, run: Run) -> Clock:
-        """The clock of a run; without times it counts in sample times, and in samples if the sample time is 1."""
+        """The clock of a run; without times it counts sample times, or samples if the sample time is 1."""
         if run.time is None:
             index = np.arange(run.x.shape[0], dtype=np.float64)
             return cls("sample", index) if run.plant.dt == 1.0 else _in_best_unit(index * run.plant.dt)
@@ -46,7 +46,7 @@ class Clock:
         """The time of one sample, with its unit."""
         value = self.values[index]
         if self.unit == "date":
-            moment = np.datetime64(int(round(value)), "ms")
+            moment = np.datetime64(round(float(value)), "ms")
             whole = np.all(self.values % 60000 == 0)
             return str(np.datetime_as_string(moment, unit="m" if whole else "s")).replace("T", " ")
         return f"sample {index}" if self.unit == "sample" else f"{value:.{self.decimals}f} {self.unit}"

@@ -24,7 +24,7 @@ from securestate.reporting.payload import pack_bytes
 from securestate.reporting.summary import Summary, summarise
 
 if TYPE_CHECKING:
-    from securestate.estimators.base import Run
+    from securestate.estimators.run import Run
 
 SCRIPTS = ("data.js", "charts.js", "report.js")
 
@@ -68,6 +68,7 @@ def render(
     blocks = pack_run(run, clock)
     script = "\n".join(_asset(name) for name in SCRIPTS)
     data = {f"data-{name}": text for name, (_, text) in blocks.items()} | {"plotly": _plotly()}
+    elements = (f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items())
     return Template(_asset("report.html")).substitute(
         policy=_policy(script),
         style=_asset("report.css"),
@@ -81,9 +82,7 @@ def render(
         statuses=tables.statuses(summary),
         plant=tables.plant(run),
         manifest=_json(manifest(run, summary, clock, blocks)),
-        data="\n".join(
-            f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items()
-        ),
+        data="\n".join(elements),
     )
 
 
@@ -96,9 +95,7 @@ def _remarks(summary: Summary) -> list[str]:
         remarks.append("KalmanFilter trusts every sensor: it does not look for liars.")
     bad = sum(s.count for s in summary.statuses if s.name != "OK")
     if bad:
-        remarks.append(
-            f"{bad:,} of {summary.samples:,} samples ended with a status other than OK; see Status."
-        )
+        remarks.append(f"{bad:,} of {summary.samples:,} samples have a status other than OK; see Status.")
     return remarks
 
 

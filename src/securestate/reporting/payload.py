@@ -20,8 +20,8 @@ CODES = 65534
 class Block:
     """A (rows, columns) table as text. A value is offset + step * code; it is off by at most half a step.
 
-    The text is base64 of gzip of two byte planes, low then high, of the int16 codes, one column after the other; with
-    `delta` a code is the difference (modulo 2^16) from the one before it. Code -32768 is NaN.
+    The text is base64 of gzip of two byte planes, low then high, of the int16 codes, one column after the
+    other; with `delta` a code is the difference (modulo 2^16) from the one before it. Code -32768 is NaN.
     """
 
     rows: int
@@ -38,7 +38,7 @@ def pack(
     """Pack a (rows, columns) table; not finite values become NaN.
 
     Args:
-        finest: per column or for all, the step that is fine enough; noise below it only makes the text longer.
+        finest: per column or for all, the step that is fine enough; finer ones only make the text longer.
             A column whose range needs a coarser step gets range / 65534.
         delta: store differences; shorter for smooth columns, longer for noise.
     Examples:

@@ -1,4 +1,4 @@
-"""What a run says, in a few numbers: per sensor how often and since when it was suspected, and how the solver fared."""
+"""What a run says, in numbers: how often and since when each sensor was suspected, how the solver fared."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from securestate.errors import InputError
 from securestate.estimators.base import Status
 
 if TYPE_CHECKING:
-    from securestate.estimators.base import Run
+    from securestate.estimators.run import Run
 
 WINDOW = 20
-"""A sensor lies if at least half of some WINDOW samples it sent in a row were suspected; fewer are isolated alarms."""
+"""A sensor lies if half of some WINDOW samples it sent in a row were suspected; fewer are isolated alarms."""
 
 NAMED = 8
 """At most so many liars are named in the verdict; the others are counted."""
@@ -33,7 +33,7 @@ class Moment:
 class Injection:
     """What a suspected sensor adds to one channel, in file units; NaN if the estimator gives no estimate.
 
-    `median` is taken while suspected; `spread` is the matching standard deviation, from the median absolute deviation.
+    `median` is taken while suspected; `spread` is a standard deviation, from the median absolute deviation.
     """
 
     channel: str
@@ -46,8 +46,8 @@ class Injection:
 class SensorSummary:
     """One sensor over a whole run. Shares are of all samples of the run, in [0, 1].
 
-    `lies` tells a sensor that was suspected persistently from one with isolated alarms: at least half of some 20
-    samples in a row (of those it sent) were suspected. `since` is the first suspected sample of that stretch.
+    `lies` tells a sensor that was suspected persistently from one with isolated alarms: at least half of
+    some 20 samples in a row (of those it sent) were suspected. `since` is where that stretch begins.
     """
 
     name: str
@@ -73,7 +73,7 @@ class StatusCount:
 class Summary:
     """What one run says. `fast_path`, `iterations` and `gap` are None where the estimator has no such figure.
 
-    `fast_path` is a share of samples; `iterations` the median over the samples off the fast path; `gap` the worst one.
+    `fast_path` is a share of samples; `iterations` the median over the samples off it; `gap` the worst one.
     """
 
     plant: str
@@ -144,9 +144,7 @@ def summarise(run: Run) -> Summary:
 def require_one_run(run: Run) -> None:
     """Raise InputError unless `run` is one run of at least one sample."""
     if run.x.ndim != 2 or run.x.shape[0] == 0:
-        raise InputError(
-            "run", "one run of at least one sample, x of shape (T, n)", f"x of shape {run.x.shape}"
-        )
+        raise InputError("run", "one run, x of shape (T, n) with T >= 1", f"x of shape {run.x.shape}")
 
 
 def _sensor(run: Run, i: int) -> SensorSummary:
@@ -175,7 +173,7 @@ def _moment(run: Run, index: int | None) -> Moment | None:
 
 
 def _persistent_since(suspected: NDArray[np.bool_], missing: NDArray[np.bool_]) -> int | None:
-    """Index of the first suspected sample of the first stretch of WINDOW sent samples that is half suspected."""
+    """Index of the first suspected sample in the first WINDOW sent samples that are half suspected."""
     sent = np.flatnonzero(~missing | suspected)
     if sent.size == 0:
         return None
@@ -190,11 +188,8 @@ def _persistent_since(suspected: NDArray[np.bool_], missing: NDArray[np.bool_]) 
 def _injections(run: Run, i: int) -> tuple[Injection, ...]:
     suspected, channels = run.suspected[:, i], run.plant.channels_of(i)
     names, units = run.plant.channel_names[channels], run.plant.units[channels]
-    estimates = run.attack[suspected, channels].T
-    return tuple(
-        Injection(name, unit, *_centre(values))
-        for name, unit, values in zip(names, units, estimates, strict=True)
-    )
+    estimates = zip(names, units, run.attack[suspected, channels].T, strict=True)
+    return tuple(Injection(name, unit, *_centre(values)) for name, unit, values in estimates)
 
 
 def _centre(values: NDArray[np.float64]) -> tuple[float, float]:

@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from securestate.reporting.clock import Clock
-from securestate.reporting.summary import Injection, Moment, SensorSummary, Summary, enumerate_names
+from securestate.reporting.summary import Moment, SensorSummary, Summary, enumerate_names
 
 if TYPE_CHECKING:
-    from securestate.estimators.base import Run
+    from securestate.estimators.run import Run
 
 __all__ = ["enumerate_names", "facts", "plant", "sensors", "statuses"]
 
@@ -57,9 +57,7 @@ def _sensor_row(s: SensorSummary, head: Sequence[str], clock: Clock) -> str:
         _share(s.suspected),
         _moment(s.since, clock),
         _moment(s.first_alarm, clock),
-        "<br>".join(
-            _injection(i, named=len(s.injections) > 1) for i in s.injections if not math.isnan(i.median)
-        ),
+        "<br>".join(_known_injections(s)),
         _share(s.missing),
     )
     return _row(head, cells, "liar" if s.lies else "")
@@ -91,9 +89,12 @@ def _share(share: float) -> str:
     return "&lt;0.1 %" if share < 0.001 else "&gt;99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
 
 
-def _injection(injection: Injection, *, named: bool) -> str:
-    text = f"{measured(injection.median, injection.spread)} {injection.unit}".strip()
-    return escape(f"{injection.channel}: {text}" if named else text)
+def _known_injections(s: SensorSummary) -> Iterable[str]:
+    """One line per channel that has an estimate; the channel is named if there are several."""
+    for i in s.injections:
+        if not math.isnan(i.median):
+            text = f"{measured(i.median, i.spread)} {i.unit}".strip()
+            yield escape(f"{i.channel}: {text}" if len(s.injections) > 1 else text)
 
 
 def measured(value: float, spread: float) -> str:
@@ -116,15 +117,12 @@ def measured(value: float, spread: float) -> str:
 def statuses(summary: Summary) -> str:
     """Counts and advice per status, and the solver's figures."""
     head = ("Status", "Samples", "What to do")
-    rows = (
-        (
-            f'<span class="key status-{escape(s.name)}"></span>{escape(s.name)}',
-            f"{s.count:,}",
-            escape(s.advice),
-        )
-        for s in summary.statuses
-    )
+    rows = ((_key(s.name), f"{s.count:,}", escape(s.advice)) for s in summary.statuses)
     return f"{_plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>"
+
+
+def _key(status: str) -> str:
+    return f'<span class="key status-{status}"></span>{status}'
 
 
 def _solver(summary: Summary) -> list[str]:
@@ -141,29 +139,19 @@ def _solver(summary: Summary) -> list[str]:
 def plant(run: Run) -> str:
     """Sensors with units, operating point and noise; inputs; settings of the estimator."""
     p = run.plant
-    noise = p.scale * np.sqrt(np.diagonal(p.R, axis1=-2, axis2=-1)).reshape(-1, p.m)[0]
-    owners = [p.sensor_names[i] for i in p.channel_sensor]
+    noise = p.scale * np.sqrt(np.diagonal(p.R))
     head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
     rows = (
         (
-            escape(name),
-            escape(owner),
-            escape(unit),
-            f"{o:.6g}",
-            f"{s:.6g}",
-            f"{sigma:.3g}",
-            "yes" if safe else "",
+            escape(p.channel_names[c]),
+            escape(p.sensor_names[owner]),
+            escape(p.units[c]),
+            f"{p.offset[c]:.6g}",
+            f"{p.scale[c]:.6g}",
+            f"{noise[c]:.3g}",
+            "yes" if p.protected[owner] else "",
         )
-        for name, owner, unit, o, s, sigma, safe in zip(
-            p.channel_names,
-            owners,
-            p.units,
-            p.offset,
-            p.scale,
-            noise,
-            p.protected[p.channel_sensor],
-            strict=True,
-        )
+        for c, owner in enumerate(p.channel_sensor)
     )
     return (
         f"<h3>Settings</h3>{_plain_table(('Setting', 'Value'), _settings(run))}"

@@ -7,10 +7,8 @@ const PHONE = matchMedia("(max-width: 700px)");
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 /** plotly reads a little HTML in its texts; names come from files. */
 const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-const short = (text) => {
-  const most = PHONE.matches ? 11 : 24;
-  return plain(text.length > most ? text.slice(0, most - 1) + "…" : text);
-};
+const cut = (text, most) => plain(text.length > most ? text.slice(0, most - 1) + "…" : text);
+const short = (text) => cut(text, PHONE.matches ? 11 : 24);
 const tone = (text, colour) => `<span style="color:${colour}">${text}</span>`;
 const withUnit = (name, unit) => (unit ? `${name} (${unit})` : name);
 

@@ -118,7 +118,7 @@ const ranked = MANIFEST.channels.map((_, i) => i).sort((a, b) => {
 
 function channelRow(table, suspected, c, unit, shapes) {
   const channel = MANIFEST.channels[c], column = table.column(c);
-  const title = plain(withUnit(channel.name, unit));
+  const title = withUnit(cut(channel.name, PHONE.matches ? 28 : 80), plain(unit));
   return {
     title: MANIFEST.sensors[channel.sensor].lies ? tone(title, css("red")) : title,
     shapes,
