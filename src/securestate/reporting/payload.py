@@ -50,7 +50,7 @@ def pack(
     table = np.ascontiguousarray(np.where(np.isfinite(values), values, np.nan).T)
     low, high = _bounds(table)
     step = _steps(low, high, finest)
-    offset = low + step * np.floor((high - low) / (2 * step))
+    offset = low + step * np.rint((high - low) / (2 * step))
     codes = np.rint((table - offset[:, None]) / step[:, None])
     packed = np.where(np.isnan(codes), MISSING, codes).astype(np.int16)
     if delta:

@@ -25,15 +25,20 @@ SHOWN = 12
 def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[str] | None) -> str:
     """What was run, as a definition list."""
     p = run.plant
+    counts = ((p.n, "state"), (p.n_sensors, "sensor"), (p.m, "channel"), (p.n_inputs, "input"))
     rows = {
         "Plant": summary.plant or "unnamed",
         "Data": "" if source is None else os.fspath(source),
         "Estimator": summary.estimator,
         "Samples": f"{summary.samples:,}",
         "Time": clock.span,
-        "Size": f"{p.n} states, {p.n_sensors} sensors, {p.m} channels, {p.n_inputs} inputs",
+        "Size": ", ".join(_count(*c) for c in counts if c[0]),
     }
     return "".join(f"<div><dt>{k}</dt><dd>{escape(v)}</dd></div>" for k, v in rows.items() if v)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
 def sensors(summary: Summary, clock: Clock) -> str:

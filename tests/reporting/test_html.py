@@ -1,0 +1,231 @@
+import base64
+import gzip
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from securestate.errors import InputError
+from securestate.estimators.run import Run
+from securestate.reporting import write_report
+from securestate.reporting.blocks import normalised_innovation
+from securestate.reporting.html import render
+from securestate.reporting.payload import Block, unpack
+from tests.reporting.made_runs import made_run, with_silence
+
+NASTY = [
+    "</script><script>alert(1)</script>",
+    "a \"quoted\" 'name'",
+    "x<b>&amp;",
+    "<img src=x onerror=alert(1)>",
+    "ok",
+]
+
+
+class Reader(HTMLParser):
+    """Collects elements with their attributes, and the text outside scripts and styles."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.scripts: list[tuple[dict[str, str | None], str]] = []
+        self._inside = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+        self._inside = tag
+
+    def handle_endtag(self, tag: str) -> None:
+        self._inside = ""
+
+    def handle_data(self, data: str) -> None:
+        if self._inside == "script":
+            self.scripts.append((self.elements[-1][1], data))
+        elif self._inside != "style":
+            self.text.append(data)
+
+
+def manifest_of(html: str) -> dict[str, Any]:
+    found = [text for attributes, text in Reader(html).scripts if attributes.get("id") == "manifest"]
+    manifest: dict[str, Any] = json.loads(found[0])
+    return manifest
+
+
+def table_of(html: str, name: str) -> np.ndarray:
+    """A table as the report holds it."""
+    described = manifest_of(html)["blocks"][name]
+    text = next(t for a, t in Reader(html).scripts if a.get("id") == f"data-{name}")
+    return unpack(Block(text=text, **described))
+
+
+def test_the_headline_is_the_verdict() -> None:
+    assert "<h1>2 of 5 sensors lie: XMEAS 2 and XMEAS 4.</h1>" in render(made_run(liars=(1, 3)))
+    assert "<h1>No sensor is suspected.</h1>" in render(made_run())
+
+
+def test_liars_come_first_and_every_sensor_is_in_the_table() -> None:
+    html = render(made_run(sensors=40, liars=(7, 30)))
+    names = re.findall(r'data-label="Sensor">(XMEAS \d+)', html)
+    assert names[:2] == ["XMEAS 8", "XMEAS 31"]
+    assert set(names) == {f"XMEAS {i + 1}" for i in range(40)}
+
+
+def test_what_was_run_is_said() -> None:
+    time = np.datetime64("2024-03-01", "ns") + np.arange(300) * np.timedelta64(180, "s")
+    text = " ".join(
+        Reader(render(made_run(time=time), title="Night shift", source="a/b.csv", notes=["One note."])).text
+    )
+    for said in (
+        "Night shift",
+        "a/b.csv",
+        "One note.",
+        "Made-up reactor",
+        "SparseFusion",
+        "300",
+        "kalman probability",
+    ):
+        assert said in text
+    assert "2024-03-01 00:00 to 2024-03-01 14:57" in text
+
+
+def test_a_silent_sensor_is_reported_as_such_and_not_as_honest() -> None:
+    text = " ".join(Reader(render(with_silence(made_run(), 2, slice(None)))).text)
+    assert "Sent nothing during the whole run: XMEAS 3." in text
+    assert "no data" in text
+
+
+def test_names_from_files_are_text_never_markup() -> None:
+    plain, nasty = (
+        Reader(render(made_run(liars=(0,)))),
+        Reader(
+            render(
+                made_run(liars=(0,), names=NASTY),
+                title="<i>t</i>",
+                source="<u>s</u>",
+                notes=["<s>n</s>", "a & b"],
+            )
+        ),
+    )
+    extra = {"p": 2, "div": 1, "dt": 1, "dd": 1}  # two notes and the source
+    for tag in {tag for tag, _ in nasty.elements} | {tag for tag, _ in plain.elements}:
+        count = sum(t == tag for t, _ in nasty.elements) - sum(t == tag for t, _ in plain.elements)
+        assert count == extra.get(tag, 0), tag
+    assert all(not key.startswith("on") for _, attributes in nasty.elements for key in attributes)
+    assert all(name in "".join(nasty.text) for name in NASTY)
+    assert [s["name"] for s in manifest_of(render(made_run(names=NASTY)))["sensors"]] == NASTY
+
+
+def test_nothing_is_loaded_from_anywhere() -> None:
+    html = render(made_run(liars=(1,)))
+    reader = Reader(html)
+    loading = {"src", "href", "srcset", "data", "action", "poster", "background", "xlink:href"}
+    assert [(t, a) for t, a in reader.elements if loading & a.keys()] == []
+    assert {t for t, _ in reader.elements}.isdisjoint({"link", "base", "iframe", "object", "embed", "img"})
+    assert re.search(r"https?://|@import|url\(", html) is None
+
+
+def test_the_policy_forbids_fetching_and_names_the_scripts_by_hash() -> None:
+    reader = Reader(render(made_run()))
+    policy = next(a["content"] for t, a in reader.elements if t == "meta" and "http-equiv" in a)
+    assert policy is not None
+    assert policy.startswith("default-src 'none';")
+    assert policy.count("'sha256-") == 2
+    assert "unsafe-inline" not in policy.split(";")[1]
+
+
+def test_the_chart_library_is_inside() -> None:
+    packed = next(text for a, text in Reader(render(made_run())).scripts if a.get("id") == "plotly")
+    assert b"Plotly" in gzip.decompress(base64.b64decode(packed))
+
+
+def test_the_report_holds_every_sample_of_the_run() -> None:
+    run = with_silence(made_run(liars=(1,), samples=2000), 3, slice(50, 90))
+    html = render(run)
+    assert np.array_equal(table_of(html, "suspected"), run.suspected)
+    assert np.array_equal(table_of(html, "status")[:, 0], run.status)
+    assert_within(table_of(html, "trust"), run.trust, 0.002)
+    assert_within(table_of(html, "ratio"), normalised_innovation(run), 0.01)
+    assert_within(table_of(html, "x"), run.x, 0.3 / 200)
+    assert_within(table_of(html, "attack"), run.attack, 2.0 / 200)
+
+
+def assert_within(found: np.ndarray, expected: np.ndarray, tolerance: float) -> None:
+    assert np.array_equal(np.isnan(found), np.isnan(expected))
+    assert np.nanmax(np.abs(found - expected)) <= tolerance * (1 + 1e-6)
+
+
+def test_irregular_times_are_kept_exactly() -> None:
+    time = np.cumsum(np.random.default_rng(6).uniform(0.5, 1.5, 300))
+    html = render(made_run(time=time))
+    assert manifest_of(html)["time"]["regular"] is None
+    packed = next(text for a, text in Reader(html).scripts if a.get("id") == "data-time")
+    assert np.array_equal(np.frombuffer(gzip.decompress(base64.b64decode(packed)), "<f8"), time)
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("all NaN", {"attack": np.nan, "innovation": np.nan, "trust": np.nan, "x": np.nan, "x_std": np.nan}),
+        ("infinite", {"x_std": np.inf, "innovation": np.inf}),
+        ("no noise", {"innovation_std": 0.0}),
+    ],
+)
+def test_odd_numbers_do_not_stop_a_report(name: str, change: dict[str, float]) -> None:
+    run = made_run()
+    arrays = {key: np.full_like(getattr(run, key), value) for key, value in change.items()}
+    assert "</html>" in render(replace(run, **arrays)), name
+
+
+def test_one_sample_of_one_sensor_is_enough() -> None:
+    html = render(made_run(1, 1, samples=1, liars=(0,), since=0))
+    assert "<h1>1 of 1 sensors lies: XMEAS 1.</h1>" in html
+    assert "1 state, 1 sensor, 1 channel" in html
+
+
+def test_the_file_is_the_report_and_replaces_an_older_one(tmp_path: Path) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("old")
+    assert write_report(made_run(), target) == target
+    assert target.read_text(encoding="utf-8") == render(made_run())
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_failing_write_leaves_the_old_file_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    target = tmp_path / "report.html"
+    target.write_text("old")
+
+    def fail(source: object, destination: object) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr("os.replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_report(made_run(), target)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_missing_folder_is_an_error_and_makes_nothing(tmp_path: Path) -> None:
+    with pytest.raises(OSError, match="nowhere"):
+        write_report(made_run(), tmp_path / "nowhere" / "report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_batch_is_refused_before_anything_is_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"^run: "):
+        write_report(replace(made_run(), x=np.zeros((2, 300, 3))), tmp_path / "report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_sixty_channels_and_a_hundred_thousand_samples_fit_in_thirty_megabytes(tmp_path: Path) -> None:
+    run: Run = made_run(30, 60, 100_000, liars=(3, 17, 44), since=70_000)
+    size = write_report(run, tmp_path / "report.html").stat().st_size
+    assert 2e6 < size < 30e6
