@@ -16,6 +16,7 @@ from scipy import linalg
 
 from securestate.errors import DesignError
 from securestate.plant import Plant
+from securestate.resilience.detectability import undetectable_modes, unreachable_noise_modes
 
 Array = NDArray[np.float64]
 
@@ -26,7 +27,7 @@ TOLERANCE = 1e-9
 GOOD = 1e-13
 
 #: Eigenvalues this close to the unit circle count as on it.
-EDGE = 1e-10
+EDGE = 1e-9
 
 
 @final
@@ -81,31 +82,16 @@ def steady_state(plant: Plant) -> SteadyState:
 
 
 def _refuse_impossible(plant: Plant) -> None:
-    for mode in _blind(plant.A, plant.C, 1.0 - EDGE, np.inf):
+    for mode in undetectable_modes(plant):
         raise DesignError(
-            f"no sensor sees the mode with eigenvalue {mode:.6g}, whose error does not decay",
-            "add a sensor that depends on it",
+            f"no sensor sees {mode}, whose error does not decay", "add a sensor that depends on it"
         )
-    for mode in _blind(plant.A.T, plant.Q, 1.0 - EDGE, 1.0 + EDGE):
-        raise DesignError(
-            f"no process noise reaches the mode with eigenvalue {mode:.6g} on the unit circle, "
-            "so the filter's gain falls to zero",
-            "give Q a component in that mode",
-        )
-
-
-def _blind(A: Array, C: Array, low: float, high: float) -> list[complex]:
-    """Eigenvalues of A with modulus in [low, high] and an eigenvector v with C v = 0 (Hautus test)."""
-    found = []
-    row_scale = np.linalg.norm(C, axis=1, keepdims=True)
-    rows = (C / np.where(row_scale > 0, row_scale, 1.0)).astype(np.complex128)
-    size = max(1.0, float(np.linalg.norm(A, 2)))
-    for value in np.linalg.eigvals(A):
-        if low <= abs(value) <= high:
-            pencil = np.vstack([(A - value * np.eye(len(A))) / size, rows])
-            if np.linalg.svd(pencil, compute_uv=False)[-1] <= 1e-10:
-                found.append(complex(value))
-    return found
+    for mode in unreachable_noise_modes(plant):
+        if abs(abs(mode.eigenvalue) - 1.0) <= EDGE:
+            raise DesignError(
+                f"no process noise reaches {mode} on the unit circle, so the filter's gain falls to zero",
+                "give Q a component in that mode",
+            )
 
 
 def _solve_schur(plant: Plant) -> Array | None:

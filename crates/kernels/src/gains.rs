@@ -1,0 +1,201 @@
+//! One correction of the Kalman filter in two parts: what does not depend on the data, and what does.
+//!
+//! Which channels arrived fixes gains and covariances; the data part is a few products along contiguous memory.
+//! Runs that miss the same samples share the first part and stay equal to the bit.
+
+use crate::linalg::{axpy, dot};
+use crate::model::Model;
+use crate::ud::Ud;
+use crate::whitening::Whitening;
+use crate::{Dims, Output, Status};
+
+const LOG_2PI: f64 = 1.837_877_066_409_345_5;
+
+/// Everything about a correction that the data do not change.
+#[derive(Debug, Clone)]
+pub struct Gains {
+    /// The first `count` are the channels that arrived, in order.
+    channels: Vec<usize>,
+    count: usize,
+    whitening: Whitening,
+    /// Rows of L⁻¹ C of the channels that arrived, (count, n).
+    rows: Vec<f64>,
+    /// Gain of each whitened channel, (count, n).
+    gain: Vec<f64>,
+    /// 1 / s of each whitened channel, given those before it.
+    precision: Vec<f64>,
+    /// log det(2π S) over the channels that arrived.
+    log_det: f64,
+    status: Status,
+    x_std: Vec<f64>,
+    innovation_std: Vec<f64>,
+    /// P[k|k], (n, n); up to date only if it was asked for.
+    covariance: Vec<f64>,
+}
+
+/// Scratch of the data part and of the covariance part.
+#[derive(Debug, Clone)]
+pub struct Scratch {
+    state: Vec<f64>,
+    channel: Vec<f64>,
+}
+
+impl Scratch {
+    /// Room for one sample.
+    #[must_use]
+    pub fn new(dims: Dims) -> Self {
+        Self { state: vec![0.0; dims.states], channel: vec![0.0; dims.channels] }
+    }
+}
+
+impl Gains {
+    /// Room for one sample.
+    #[must_use]
+    pub fn new(model: &Model) -> Self {
+        let (n, m) = (model.dims.states, model.dims.channels);
+        Self {
+            channels: vec![0; m],
+            count: 0,
+            whitening: Whitening::new(&model.noise),
+            rows: vec![0.0; m * n],
+            gain: vec![0.0; m * n],
+            precision: vec![0.0; m],
+            log_det: 0.0,
+            status: Status::NoMeasurement,
+            x_std: vec![0.0; n],
+            innovation_std: vec![0.0; m],
+            covariance: vec![0.0; n * n],
+        }
+    }
+
+    /// Bytes that one sample takes.
+    #[must_use]
+    pub fn size(model: &Model) -> usize {
+        let (n, m) = (model.dims.states, model.dims.channels);
+        size_of::<f64>() * (2 * m * n + 4 * m + n + n * n)
+    }
+
+    /// Overwrite with the gains of `full`, made by [`Gains::listen`] with every channel present.
+    pub fn listen_to_all(&mut self, full: &Self) {
+        self.count = full.count;
+        self.channels.copy_from_slice(&full.channels);
+        self.whitening.copy_from(&full.whitening);
+        self.rows.copy_from_slice(&full.rows);
+        self.log_det = full.log_det;
+    }
+
+    /// Note which channels of y arrived and make their noise independent.
+    pub fn listen(&mut self, model: &Model, k: usize, y: &[f64]) {
+        let n = model.dims.states;
+        self.count = 0;
+        for (channel, value) in y.iter().enumerate() {
+            if !value.is_nan() {
+                self.channels[self.count] = channel;
+                self.count += 1;
+            }
+        }
+        let (arrived, c) = (&self.channels[..self.count], model.c(k));
+        for (row, &channel) in self.rows.chunks_exact_mut(n).zip(arrived) {
+            row.copy_from_slice(&c[channel * n..(channel + 1) * n]);
+        }
+        // R is positive definite, hence so is every principal part of it.
+        self.whitening.factorise(&model.noise, arrived);
+        self.whitening.apply_to_rows(&mut self.rows[..self.count * n], n);
+        self.log_det = self.count as f64 * LOG_2PI + 2.0 * self.whitening.log_det(self.count);
+    }
+
+    /// From P[k|k−1] in `p` to P[k|k], one channel after the other; notes gains and standard deviations.
+    pub fn correct_covariance(
+        &mut self,
+        model: &Model,
+        k: usize,
+        p: &mut Ud,
+        scratch: &mut Scratch,
+        keep_covariance: bool,
+    ) {
+        let n = model.dims.states;
+        innovation_deviations(model, k, p, &mut scratch.channel, &mut self.innovation_std);
+        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact_mut(n));
+        for ((row, gain), precision) in rows.zip(&mut self.precision).take(self.count) {
+            let s = p.condition(row, &mut scratch.state, gain);
+            self.log_det += s.ln();
+            *precision = 1.0 / s;
+        }
+        p.variances(&mut self.x_std);
+        self.x_std.iter_mut().for_each(|v| *v = v.sqrt());
+        if keep_covariance {
+            p.covariance(&mut self.covariance);
+        }
+        self.status = match self.count {
+            _ if !self.x_std.iter().all(|v| v.is_finite()) => Status::IllConditioned,
+            0 => Status::NoMeasurement,
+            _ => Status::Ok,
+        };
+    }
+
+    /// From x[k|k−1] to x[k|k] in `x`, and everything there is to report.
+    pub fn correct(
+        &self,
+        model: &Model,
+        k: usize,
+        x: &mut [f64],
+        (y, u): (&[f64], &[f64]),
+        scratch: &mut Scratch,
+        out: &mut Output<'_>,
+    ) {
+        let n = x.len();
+        model.innovation(k, x, (y, u), out.innovation);
+        let white = &mut scratch.channel[..self.count];
+        for (value, &channel) in white.iter_mut().zip(&self.channels) {
+            *value = out.innovation[channel];
+        }
+        self.whitening.apply(white);
+        let shift = &mut scratch.state;
+        shift.fill(0.0); // x[k|k] − x[k|k−1]
+        let mut nis = 0.0;
+        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact(n));
+        for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
+            let surprise = *value - dot(row, shift);
+            nis += surprise * surprise * precision;
+            axpy(surprise, gain, shift);
+        }
+        axpy(1.0, shift, x);
+        self.report(model, nis, x, out);
+    }
+
+    fn report(&self, model: &Model, nis: f64, x: &[f64], out: &mut Output<'_>) {
+        out.x.copy_from_slice(x);
+        out.x_std.copy_from_slice(&self.x_std);
+        out.innovation_std.copy_from_slice(&self.innovation_std);
+        if let Some(covariance) = out.covariance.as_deref_mut() {
+            covariance.copy_from_slice(&self.covariance);
+        }
+        out.attack.fill(f64::NAN);
+        out.suspected.fill(0);
+        out.trust.fill(f64::NAN);
+        for &channel in &self.channels[..self.count] {
+            out.trust[model.channel_sensor[channel]] = 1.0;
+        }
+        let numbers = [-0.5 * (self.log_det + nis), nis, self.count as f64];
+        out.diagnostics.copy_from_slice(&numbers);
+        *out.status = self.status as u8;
+    }
+}
+
+/// sqrt diag(C P Cᵀ + R) of all channels, whether they arrived or not.
+fn innovation_deviations(model: &Model, k: usize, p: &Ud, f: &mut [f64], out: &mut [f64]) {
+    let (m, c_t) = (out.len(), model.c_t(k));
+    for (i, variance) in out.iter_mut().enumerate() {
+        *variance = model.noise.r[i * m + i];
+    }
+    for (j, &d) in p.d.iter().enumerate() {
+        f.copy_from_slice(&c_t[j * m..(j + 1) * m]); // column j of C U
+        for (row, &u) in c_t.chunks_exact(m).zip(p.column(j)) {
+            axpy(u, row, f);
+        }
+        for (variance, &value) in out.iter_mut().zip(f.iter()) {
+            *variance += d * value * value;
+        }
+    }
+    out.iter_mut().for_each(|variance| *variance = variance.sqrt());
+}

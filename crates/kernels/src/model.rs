@@ -1,0 +1,182 @@
+//! The matrices of a plant in normalised units, laid out for the kernels.
+
+use crate::codec::Fingerprint;
+use crate::linalg::axpy;
+use crate::ud::{semidefinite_factor, transpose};
+use crate::whitening::Noise;
+use crate::{Dims, Error, Result};
+
+/// What a plant is made of; row-major. A and C may hold one matrix per sample, one after the other.
+#[derive(Debug, Clone)]
+pub struct Matrices {
+    /// (n, n) or (T, n, n)
+    pub a: Vec<f64>,
+    /// (n, p)
+    pub b: Vec<f64>,
+    /// (m, n) or (T, m, n)
+    pub c: Vec<f64>,
+    /// (m, p)
+    pub d: Vec<f64>,
+    /// (n, n)
+    pub q: Vec<f64>,
+    /// (m, m)
+    pub r: Vec<f64>,
+    /// Owner of every channel, (m,).
+    pub channel_sensor: Vec<usize>,
+    /// N.
+    pub sensors: usize,
+    /// n.
+    pub states: usize,
+}
+
+/// Checked matrices, with the transposes whose products run along contiguous memory.
+#[derive(Debug, Clone)]
+pub struct Model {
+    /// Sizes.
+    pub dims: Dims,
+    /// Samples that A and C cover; None if neither varies.
+    pub horizon: Option<usize>,
+    /// Owner of every channel, (m,).
+    pub channel_sensor: Vec<usize>,
+    /// Measurement noise.
+    pub noise: Noise,
+    /// Q = G diag(q) Gᵀ: G by rows, (n, q.len()).
+    pub g: Vec<f64>,
+    /// Weights of the columns of G.
+    pub q: Vec<f64>,
+    a: Vec<f64>,
+    a_t: Vec<f64>,
+    b_t: Vec<f64>,
+    c: Vec<f64>,
+    c_t: Vec<f64>,
+    d_t: Vec<f64>,
+    fingerprint: u64,
+}
+
+impl Model {
+    /// Check shapes and covariances.
+    ///
+    /// # Errors
+    /// A length that does not fit, an R that is not positive definite, a Q that is not positive semidefinite.
+    pub fn new(given: Matrices) -> Result<Self> {
+        let (n, m) = (given.states, given.channel_sensor.len());
+        if n == 0 || m == 0 {
+            return Err(Error::input("plant", "at least one state and one channel", "none"));
+        }
+        let (p, fingerprint) = (given.b.len() / n, fingerprint(&given));
+        Error::check_len("B", n * p, given.b.len())?;
+        Error::check_len("D", m * p, given.d.len())?;
+        let horizon = horizon(samples("A", &given.a, n * n)?, samples("C", &given.c, m * n)?)?;
+        if let Some(&owner) = given.channel_sensor.iter().find(|&&s| s >= given.sensors) {
+            let expected = format!("indices below {}", given.sensors);
+            return Err(Error::input("channel_sensor", expected, format!("{owner}")));
+        }
+        let (columns, q) = semidefinite_factor("Q", &given.q, n)?;
+        let (a_t, c_t) = (transposes(&given.a, n, n), transposes(&given.c, m, n));
+        Ok(Self {
+            dims: Dims { states: n, channels: m, sensors: given.sensors, inputs: p },
+            horizon,
+            noise: Noise::new(given.r, m)?,
+            g: transpose(&columns, q.len(), n),
+            q,
+            a: given.a,
+            a_t,
+            b_t: transpose(&given.b, n, p),
+            c: given.c,
+            c_t,
+            d_t: transpose(&given.d, m, p),
+            channel_sensor: given.channel_sensor,
+            fingerprint,
+        })
+    }
+
+    /// Hash of every number.
+    #[must_use]
+    pub fn fingerprint(&self) -> Fingerprint {
+        Fingerprint::default().bytes(&self.fingerprint.to_le_bytes())
+    }
+
+    /// A at sample k, (n, n).
+    #[must_use]
+    pub fn a(&self, k: usize) -> &[f64] {
+        at(&self.a, k, self.dims.states * self.dims.states)
+    }
+
+    /// C at sample k, (m, n).
+    #[must_use]
+    pub fn c(&self, k: usize) -> &[f64] {
+        at(&self.c, k, self.dims.channels * self.dims.states)
+    }
+
+    /// Cᵀ at sample k, (n, m).
+    #[must_use]
+    pub fn c_t(&self, k: usize) -> &[f64] {
+        at(&self.c_t, k, self.dims.channels * self.dims.states)
+    }
+
+    /// `out` = y − C x − D u, NaN where y is.
+    pub fn innovation(&self, k: usize, x: &[f64], (y, u): (&[f64], &[f64]), out: &mut [f64]) {
+        out.copy_from_slice(y);
+        subtract_product(self.c_t(k), x, out);
+        subtract_product(&self.d_t, u, out);
+    }
+
+    /// `out` = A x + B u.
+    pub fn predict(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
+        out.fill(0.0);
+        let a_t = at(&self.a_t, k, x.len() * x.len());
+        for (column, &value) in a_t.chunks_exact(x.len()).zip(x) {
+            axpy(value, column, out);
+        }
+        for (column, &value) in self.b_t.chunks_exact(x.len()).zip(u) {
+            axpy(value, column, out);
+        }
+    }
+}
+
+/// `out` −= M v, M given by its columns.
+fn subtract_product(columns: &[f64], v: &[f64], out: &mut [f64]) {
+    for (column, &value) in columns.chunks_exact(out.len()).zip(v) {
+        axpy(-value, column, out);
+    }
+}
+
+/// Matrix k of several, or the only one.
+fn at(matrices: &[f64], k: usize, size: usize) -> &[f64] {
+    let from = if matrices.len() == size { 0 } else { k * size };
+    &matrices[from..from + size]
+}
+
+fn transposes(matrices: &[f64], rows: usize, columns: usize) -> Vec<f64> {
+    let each = matrices.chunks_exact(rows * columns);
+    each.flat_map(|matrix| transpose(matrix, rows, columns)).collect()
+}
+
+/// Number of matrices in an array; at least one.
+fn samples(argument: &'static str, array: &[f64], size: usize) -> Result<usize> {
+    let count = (array.len() / size).max(1);
+    Error::check_len(argument, count * size, array.len())?;
+    Ok(count)
+}
+
+fn horizon(a: usize, c: usize) -> Result<Option<usize>> {
+    match (a, c) {
+        (1, 1) => Ok(None),
+        (1, steps) | (steps, 1) => Ok(Some(steps)),
+        (a, c) if a == c => Ok(Some(a)),
+        (a, c) => Err(Error::input("C", format!("{a} samples, as many as A"), format!("{c}"))),
+    }
+}
+
+fn fingerprint(given: &Matrices) -> u64 {
+    Fingerprint::default()
+        .floats(&given.a)
+        .floats(&given.b)
+        .floats(&given.c)
+        .floats(&given.d)
+        .floats(&given.q)
+        .floats(&given.r)
+        .sizes(&given.channel_sensor)
+        .sizes(&[given.sensors, given.states])
+        .finish()
+}

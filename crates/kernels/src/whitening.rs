@@ -1,0 +1,128 @@
+//! Correlated measurement noise made independent: L⁻¹ v has unit covariance when v ~ N(0, L Lᵀ).
+//!
+//! L is stored by rows from their first entry that is not zero, so independent channels cost nothing extra.
+
+use crate::linalg::{axpy, dot};
+use crate::{Error, Result};
+
+/// The noise covariance R of all channels.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Noise {
+    /// R, (m, m).
+    pub r: Vec<f64>,
+    /// First channel that channel i is correlated with, (m,).
+    first: Vec<usize>,
+}
+
+impl Noise {
+    /// Find out who is correlated with whom.
+    ///
+    /// # Errors
+    /// If R is not (m, m) or not positive definite.
+    pub fn new(r: Vec<f64>, m: usize) -> Result<Self> {
+        Error::check_len("R", m * m, r.len())?;
+        let first = (0..m).map(|i| (0..i).find(|&j| r[i * m + j] != 0.0).unwrap_or(i)).collect();
+        let noise = Self { r, first };
+        let mut whitening = Whitening::new(&noise);
+        let all: Vec<usize> = (0..m).collect();
+        if whitening.factorise(&noise, &all) {
+            return Ok(noise);
+        }
+        Err(Error::input("R", "a positive definite matrix", "a singular or indefinite one"))
+    }
+
+    /// Number of channels.
+    fn channels(&self) -> usize {
+        self.first.len()
+    }
+}
+
+/// The Cholesky factor L of the covariance of the channels that arrived.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Whitening {
+    entries: Vec<f64>,
+    /// Where row i starts in `entries`, one more than there are rows.
+    start: Vec<usize>,
+}
+
+impl Whitening {
+    /// Room for all channels.
+    #[must_use]
+    pub fn new(noise: &Noise) -> Self {
+        let m = noise.channels();
+        Self { entries: vec![0.0; (0..m).map(|i| i - noise.first[i] + 1).sum()], start: vec![0; m + 1] }
+    }
+
+    /// Overwrite with `other`, without allocation.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.entries.copy_from_slice(&other.entries);
+        self.start.copy_from_slice(&other.start);
+    }
+
+    /// Row i of L from its first entry to its diagonal.
+    fn row(&self, i: usize) -> &[f64] {
+        &self.entries[self.start[i]..self.start[i + 1]]
+    }
+
+    /// L for these channels, in increasing order; false if their covariance is not positive definite.
+    pub fn factorise(&mut self, noise: &Noise, channels: &[usize]) -> bool {
+        let m = noise.channels();
+        for (i, &channel) in channels.iter().enumerate() {
+            let earlier = channels[..i].iter().rev();
+            let width = earlier.take_while(|&&c| c >= noise.first[channel]).count();
+            let begin = self.start[i];
+            self.start[i + 1] = begin + width + 1;
+            let (done, rest) = self.entries.split_at_mut(begin);
+            let row = &mut rest[..=width];
+            for column in 0..width {
+                let j = i - width + column;
+                let above = &done[self.start[j]..self.start[j + 1]];
+                let shared = column.min(above.len() - 1);
+                let known =
+                    dot(&row[column - shared..column], &above[above.len() - 1 - shared..above.len() - 1]);
+                row[column] = (noise.r[channel * m + channels[j]] - known) / above[above.len() - 1];
+            }
+            let variance = noise.r[channel * m + channel];
+            let pivot = variance - dot(&row[..width], &row[..width]);
+            if pivot.is_nan() || pivot <= m as f64 * f64::EPSILON * variance {
+                return false;
+            }
+            row[width] = pivot.sqrt();
+        }
+        true
+    }
+
+    /// v ← L⁻¹ v.
+    pub fn apply(&self, v: &mut [f64]) {
+        for i in 0..v.len() {
+            let (coupling, scale) = split(self.row(i));
+            let known = dot(coupling, &v[i - coupling.len()..i]);
+            v[i] = (v[i] - known) / scale;
+        }
+    }
+
+    /// C ← L⁻¹ C, C (rows, n) row-major.
+    pub fn apply_to_rows(&self, c: &mut [f64], n: usize) {
+        for i in 0..c.len() / n {
+            let (coupling, scale) = split(self.row(i));
+            let (done, rest) = c.split_at_mut(i * n);
+            let row = &mut rest[..n];
+            for (l, other) in coupling.iter().zip(done[(i - coupling.len()) * n..].chunks_exact(n)) {
+                axpy(-l, other, row);
+            }
+            row.iter_mut().for_each(|value| *value /= scale);
+        }
+    }
+
+    /// log det L of the first `rows` rows.
+    #[must_use]
+    pub fn log_det(&self, rows: usize) -> f64 {
+        (0..rows).map(|i| split(self.row(i)).1.ln()).sum()
+    }
+}
+
+/// A row of L without its diagonal, and the diagonal.
+fn split(row: &[f64]) -> (&[f64], f64) {
+    let (diagonal, coupling) = row.split_last().unwrap_or((&1.0, &[]));
+    (coupling, *diagonal)
+}
