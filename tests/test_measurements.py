@@ -464,7 +464,7 @@ def stamped(run: Run) -> Run:
 def test_a_written_table_holds_every_number_of_the_run(tmp_path: Path, run: Run, suffix: str) -> None:
     path = tmp_path / f"out{suffix}"
     write_run(stamped(run), path)
-    read = pd.read_csv(path, float_precision="round_trip") if suffix == ".csv" else pd.read_parquet(path)
+    read = pd.read_csv(path) if suffix == ".csv" else pd.read_parquet(path)
     expected = stamped(run).to_pandas().reset_index()
     assert list(read.columns) == list(expected.columns)
     assert {"x.x1", "x_std.x1", "trust.level", "attack.flow 1", "innovation.flow 1", "status"} <= set(
@@ -483,9 +483,8 @@ def test_written_netcdf_is_the_labelled_run(tmp_path: Path, run: Run) -> None:
 
 def test_times_in_a_written_csv_have_as_few_decimals_as_lose_nothing(tmp_path: Path, run: Run) -> None:
     write_run(stamped(run), tmp_path / "out.csv")
-    assert (tmp_path / "out.csv").read_text().splitlines()[2].startswith('"2024-01-01T00:00:01.500"') or (
-        tmp_path / "out.csv"
-    ).read_text().splitlines()[2].startswith("2024-01-01T00:00:01.500,")
+    rows = (tmp_path / "out.csv").read_text().splitlines()
+    assert rows[2].startswith("2024-01-01T00:00:01.500,")
 
 
 @pytest.mark.parametrize("name", ["out.txt", "out", "nowhere/out.csv", "folder.csv"])

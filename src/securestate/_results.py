@@ -99,7 +99,7 @@ def _write_csv(run: Run, path: Path) -> None:
         arrow_csv.write_csv(
             pa.table(columns, names=[str(i) for i in range(len(columns))]),
             stream,
-            arrow_csv.WriteOptions(include_header=False),
+            arrow_csv.WriteOptions(include_header=False, quoting_style="none"),
         )
 
 

@@ -1,0 +1,59 @@
+"""The command line: `securestate estimate` and `securestate plant check`."""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Sequence
+from importlib.metadata import version
+from types import FrameType
+from typing import Annotated, NoReturn
+
+import typer
+
+from securestate.cli import estimate, plant
+from securestate.cli.exits import HELP, Exit, outcome
+
+app = typer.Typer(
+    help="Estimate the state of a plant while some of its sensors lie, and name the liars.",
+    epilog=HELP,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+plants = typer.Typer(help="Look at a plant before any data.", no_args_is_help=True)
+app.command("estimate", epilog=HELP)(estimate.estimate)
+plants.command("check", epilog=HELP)(plant.check)
+app.add_typer(plants, name="plant")
+
+
+def _show_version(wanted: bool) -> None:
+    if wanted:
+        print(f"securestate {version('securestate')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    show_version: Annotated[
+        bool,
+        typer.Option("--version", callback=_show_version, is_eager=True, help="Print the version and stop."),
+    ] = False,
+) -> None:
+    """Take the options that stand before a command."""
+
+
+def main() -> int:
+    """Run the command line of this process and return its exit code."""
+    signal.signal(signal.SIGTERM, _terminated)
+    return execute(sys.argv[1:])
+
+
+def execute(arguments: Sequence[str]) -> Exit:
+    """Run one command line and return its exit code."""
+    return outcome(lambda: app(list(arguments), prog_name="securestate", standalone_mode=False))
+
+
+def _terminated(signum: int, _: FrameType | None) -> NoReturn:
+    raise SystemExit(128 + signum)  # so that unfinished files are removed

@@ -1,0 +1,116 @@
+"""What the terminal shows: a progress bar on stderr, tables and sentences on stdout."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from rich import box
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from securestate.estimators import Run
+from securestate.reporting import Injection, SensorSummary, Summary
+from securestate.reporting.clock import Clock
+
+WIDE = 120  # columns, where the output is no terminal
+
+
+def output() -> Console:
+    """Return the console on stdout: plain text if that is no terminal."""
+    if hasattr(sys.stdout, "reconfigure"):
+        sys.stdout.reconfigure(errors="replace")  # its encoding may lack a character of a name
+    width = None if sys.stdout.isatty() else WIDE
+    return Console(width=width, markup=False, highlight=False, emoji=False, soft_wrap=False)
+
+
+@contextmanager
+def progress(samples: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
+    """Show a bar on stderr if that is a terminal; the function given takes the number of samples done."""
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("estimating"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("samples"),
+        TimeRemainingColumn(),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
+    with bar:
+        task = bar.add_task("estimating", total=samples)
+        yield lambda done: bar.advance(task, done)
+
+
+def table(*headings: str) -> Table:
+    """Return an empty table whose cells fold instead of losing text."""
+    grid = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)
+    for heading in headings:
+        grid.add_column(heading, overflow="fold")
+    return grid
+
+
+def show_summary(run: Run, summary: Summary, remarks: Sequence[str], written: Iterable[Path]) -> None:
+    """Print who lies, how the method fared, what was done to the data, and the files written."""
+    console, clock = output(), Clock.of(run)
+    console.print(f"{summary.plant or 'Plant'}, {summary.estimator}, {summary.samples} samples, {clock.span}")
+    console.print()
+    console.print(_sensors(summary, clock))
+    console.print()
+    for line in [*_method(summary), *remarks]:
+        console.print(line)
+    console.print(Text(summary.verdict, style="bold red" if summary.liars else "bold"))
+    for path in written:
+        console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _sensors(summary: Summary, clock: Clock) -> Table:
+    grid = table("sensor", "verdict", "suspected", "missing", "first alarm", "estimated injection")
+    for sensor in sorted(summary.sensors, key=lambda s: (not s.lies, -s.suspected)):
+        grid.add_row(
+            sensor.name + (" (protected)" if sensor.protected else ""),
+            _verdict(sensor),
+            _share(sensor.suspected),
+            _share(sensor.missing),
+            clock.text(sensor.first_alarm.index) if sensor.first_alarm else "-",
+            "\n".join(_injection(each, len(sensor.injections) > 1) for each in sensor.injections),
+            style="bold red" if sensor.lies else None,
+        )
+    return grid
+
+
+def _verdict(sensor: SensorSummary) -> str:
+    if sensor.lies:
+        return "LIES"
+    return "isolated alarms" if sensor.first_alarm else "-"
+
+
+def _share(share: float) -> str:
+    """Return a share in percent that shows neither a small one as none nor a large one as all."""
+    if share in (0.0, 1.0):
+        return f"{share:.0%}"
+    return f"{min(max(100 * share, 0.1), 99.9):.1f}%"
+
+
+def _injection(injection: Injection, several: bool) -> str:
+    if math.isnan(injection.median):
+        return "-"
+    name = f"{injection.channel}: " if several else ""
+    return f"{name}{injection.median:+.4g} ± {injection.spread:.2g} {injection.unit}".rstrip()
+
+
+def _method(summary: Summary) -> Iterator[str]:
+    """Say how the steps ended and what the method cannot do."""
+    counts = ", ".join(f"{status.name} {status.count}" for status in summary.statuses)
+    yield f"Steps: {counts}."
+    yield from (f"{s.name}: {s.advice}" for s in summary.statuses if s.name != "OK")
+    if summary.fast_path is not None:
+        yield f"Fast path (the answer is the Kalman filter's): {_share(summary.fast_path)} of the samples."
+    if summary.estimator == "KalmanFilter":
+        yield "The Kalman filter trusts every sensor; --method sparse looks for liars."

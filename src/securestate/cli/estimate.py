@@ -1,0 +1,92 @@
+"""`securestate estimate`: from a plant file and a measurement file to states, liars and a report."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from securestate.cli.exits import Exit
+
+
+class Method(StrEnum):
+    """Which estimator."""
+
+    SPARSE = "sparse"
+    KALMAN = "kalman"
+
+
+class Form(StrEnum):
+    """Which form of the sparse fusion."""
+
+    ROBUST = "robust"
+    PAPER = "paper"
+
+
+def estimate(
+    plant: Annotated[Path, typer.Option(help="Plant file, TOML.")],
+    data: Annotated[Path, typer.Option(help="Measurements: .csv, .tsv, .parquet or .nc.")],
+    method: Annotated[
+        Method, typer.Option(help="sparse finds lying sensors; kalman trusts every sensor.")
+    ] = Method.SPARSE,
+    kalman_probability: Annotated[
+        float | None,
+        typer.Option(help="sparse: how often an honest step equals the Kalman filter, in (0, 1)."),
+    ] = None,
+    gamma: Annotated[
+        float | None, typer.Option(help="sparse: weight of the penalty, instead of the probability.")
+    ] = None,
+    form: Annotated[Form | None, typer.Option(help="sparse: form of the method.  [default: robust]")] = None,
+    no_refit: Annotated[
+        bool, typer.Option("--no-refit", help="sparse: keep the shrunken estimate of the penalised problem.")
+    ] = False,
+    allow_missing: Annotated[
+        bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
+    ] = False,
+    hold_inputs: Annotated[
+        bool, typer.Option("--hold-inputs", help="Inputs that are missing keep their last value.")
+    ] = False,
+    time_column: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the time column.  [default: time]")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Write the estimates: .csv, .parquet or .nc.")] = None,
+    report: Annotated[Path | None, typer.Option(help="Write the report: one .html file.")] = None,
+    covariance: Annotated[
+        bool, typer.Option("--covariance", help="Write covariances too; only into a .nc file.")
+    ] = False,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Print nothing but errors.")] = False,
+    exit_zero: Annotated[
+        bool, typer.Option("--exit-zero", help="End with 0, not 3, if a sensor lies.")
+    ] = False,
+) -> Exit:
+    """Estimate the state from measurements, name the sensors that lie and what they inject.
+
+    A sensor lies if at least half of some 20 samples in a row that it sent are suspected. Files are written
+    whole or not at all; an existing file is replaced at the end.
+    """
+    from securestate.cli import job  # the scientific libraries take a second to import
+
+    choices = {
+        "kalman_probability": kalman_probability,
+        "gamma": gamma,
+        "form": None if form is None else form.value,
+        "refit": False if no_refit else None,
+    }
+    return job.estimate(
+        job.Order(
+            plant=plant,
+            data=data,
+            method=method.value,
+            choices={name: value for name, value in choices.items() if value is not None},
+            time_column=time_column,
+            allow_missing=allow_missing,
+            hold_inputs=hold_inputs,
+            out=out,
+            report=report,
+            covariance=covariance,
+            quiet=quiet,
+            exit_zero=exit_zero,
+        )
+    )

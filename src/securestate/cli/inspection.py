@@ -1,0 +1,82 @@
+"""What a plant file says: sizes, sensors, modes, and which estimators it allows."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from rich.table import Table
+
+from securestate.cli import console
+from securestate.cli.exits import Exit
+from securestate.errors import DesignError
+from securestate.estimators import KalmanFilter, SparseFusion
+from securestate.plant import Plant
+from securestate.resilience import undetectable_modes, unobserved_modes
+
+METHODS = {"kalman": KalmanFilter, "sparse": SparseFusion}
+MARGIN = 1e-9  # an eigenvalue this close to the unit circle is marginal
+
+
+def check(path: Path) -> Exit:
+    """Print what a plant file says; the exit code tells whether any estimator can be designed."""
+    plant = Plant.load(path)
+    refusals = {name: _refusal(plant, name) for name in METHODS}
+    shown = console.output()
+    shown.print(f"{plant.name or path.name}: {_sizes(plant)}")
+    shown.print()
+    shown.print(_sensors(plant))
+    shown.print()
+    for line in [*_modes(plant), *(_says(name, refusal) for name, refusal in refusals.items())]:
+        shown.print(line)
+    return Exit.DESIGN if all(refusals.values()) else Exit.CLEAN
+
+
+def _sizes(plant: Plant) -> str:
+    counts = {"state": plant.n, "sensor": plant.n_sensors, "channel": plant.m, "input": plant.n_inputs}
+    said = ", ".join(f"{count} {thing}{'' if count == 1 else 's'}" for thing, count in counts.items())
+    return f"{said}, one sample every {plant.dt:g} s"
+
+
+def _sensors(plant: Plant) -> Table:
+    headings = ["sensor", "channels", "unit", "noise (1 sigma)", "protected", "alone does not see"]
+    grid = console.table(*(headings if not plant.time_varying else headings[:-1]))
+    noise = plant.scale * np.sqrt(np.diag(plant.R))
+    for i, sensor in enumerate(plant.sensors):
+        own = plant.channels_of(i)
+        cells = [
+            sensor.name,
+            "\n".join(plant.channel_names[own]),
+            "\n".join(plant.units[own]),
+            "\n".join(f"{deviation:.4g}" for deviation in noise[own]),
+            "yes" if sensor.protected else "-",
+        ]
+        if not plant.time_varying:
+            cells.append("\n".join(map(str, unobserved_modes(plant, i))) or "-")
+        grid.add_row(*cells)
+    return grid
+
+
+def _modes(plant: Plant) -> list[str]:
+    if plant.time_varying:
+        return [f"The plant varies in time over {plant.horizon} samples, so it has no fixed modes."]
+    size = np.abs(np.linalg.eigvals(plant.A))
+    stable, unstable = int(np.sum(size < 1 - MARGIN)), int(np.sum(size > 1 + MARGIN))
+    hidden = undetectable_modes(plant)
+    return [
+        f"Modes: {stable} stable, {len(size) - stable - unstable} marginal, {unstable} unstable; "
+        f"largest |eigenvalue| {size.max():.6g}.",
+        "Detectable: " + (f"no, no sensor sees {', '.join(map(str, hidden))}." if hidden else "yes."),
+    ]
+
+
+def _refusal(plant: Plant, name: str) -> DesignError | None:
+    try:
+        METHODS[name](plant)
+    except DesignError as reason:
+        return reason
+    return None
+
+
+def _says(name: str, refusal: DesignError | None) -> str:
+    return f"Method {name}: " + ("can be designed." if refusal is None else f"cannot be designed: {refusal}.")

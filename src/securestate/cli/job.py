@@ -1,0 +1,137 @@
+"""The main job: read, design, run in blocks, write, summarise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from securestate._results import check_folder, check_result_path
+from securestate.cli import console
+from securestate.cli.exits import Exit
+from securestate.errors import InputError
+from securestate.estimators import Estimator, KalmanFilter, Run, SparseFusion
+from securestate.measurements import Measurements, read_measurements, write_run
+from securestate.plant import Plant
+from securestate.reporting import summarise, write_report
+
+BLOCK = 1000  # samples between two looks at the progress bar and at Ctrl-C
+
+
+@dataclass(frozen=True, kw_only=True)
+class Order:
+    """What the user asked for; `choices` are the settings of the method that were given."""
+
+    plant: Path
+    data: Path
+    method: str
+    choices: Mapping[str, object]
+    time_column: str | None
+    allow_missing: bool
+    hold_inputs: bool
+    out: Path | None
+    report: Path | None
+    covariance: bool
+    quiet: bool
+    exit_zero: bool
+
+
+def estimate(order: Order) -> Exit:
+    """Do the whole job; nothing is written before every sample is estimated."""
+    _check(order)
+    plant = Plant.load(order.plant)
+    data = read_measurements(
+        order.data,
+        plant,
+        time_column=order.time_column,
+        allow_missing=order.allow_missing,
+        hold_inputs=order.hold_inputs,
+    )
+    estimator = _design(plant, order)
+    with console.progress(len(data.y), quiet=order.quiet) as advance:
+        run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
+    written = _write(run, data, order)
+    summary = summarise(run)
+    if not order.quiet:
+        console.show_summary(run, summary, remarks(data), written)
+    return Exit.SUSPECTED if summary.liars and not order.exit_zero else Exit.CLEAN
+
+
+def run_in_blocks(
+    estimator: Estimator, data: Measurements, *, covariance: bool, advance: Callable[[int], None]
+) -> Run:
+    """Run one filter over all samples, telling how many are done after every block."""
+    live = estimator.start()
+    blocks = []
+    for start in range(0, len(data.y), BLOCK):
+        rows = slice(start, start + BLOCK)
+        u = None if data.u is None else data.u[rows]
+        blocks.append(live.run(data.y[rows], u, covariance=covariance))
+        advance(len(blocks[-1].status))
+    return Run.concat(blocks).with_time(data.time)
+
+
+def remarks(data: Measurements) -> list[str]:
+    """Say in sentences what was done to the file's rows and columns."""
+    said = []
+    if data.time is None:
+        said.append("The file has no time column: its rows are taken as consecutive samples.")
+    if data.gaps:
+        said.append(
+            f"{_count(data.gaps, 'sample')} inserted where the file has none; all channels missing there."
+        )
+    if data.held:
+        said.append(f"{_count(data.held, 'sample')} with inputs held at their last known value.")
+    if data.absent:
+        said.append(f"No column for {', '.join(data.absent)}: missing throughout.")
+    if data.extra:
+        said.append(f"{_count(len(data.extra), 'column')} not used: {', '.join(data.extra)}.")
+    return said
+
+
+def _count(number: int, thing: str) -> str:
+    return f"{number} {thing}{'' if number == 1 else 's'}"
+
+
+def _check(order: Order) -> None:
+    """Refuse before any computing what cannot end well."""
+    if order.method == "kalman" and order.choices:
+        names = ", ".join(
+            f"--{name}".replace("_", "-").replace("--refit", "--no-refit") for name in order.choices
+        )
+        raise InputError(names, "--method sparse", "--method kalman")
+    if order.out is not None:
+        check_result_path(order.out, "--out")
+    if order.report is not None:
+        if order.report.suffix.lower() not in (".html", ".htm"):
+            raise InputError("--report", "a file name ending in .html", repr(str(order.report)))
+        check_folder(order.report, "--report")
+    if order.covariance and (order.out is None or order.out.suffix.lower() != ".nc"):
+        raise InputError(
+            "--covariance", "--out with a .nc file, the only one that holds matrices", str(order.out)
+        )
+    _keep_inputs(order)
+
+
+def _keep_inputs(order: Order) -> None:
+    """Refuse to write over what is read, or twice over the same file."""
+    taken = {path.resolve(): name for name, path in (("--plant", order.plant), ("--data", order.data))}
+    for name, path in (("--out", order.out), ("--report", order.report)):
+        if path is not None and path.resolve() in taken:
+            raise InputError(name, f"another file than {taken[path.resolve()]}", repr(str(path)))
+
+
+def _design(plant: Plant, order: Order) -> Estimator:
+    if order.method == "kalman":
+        return KalmanFilter(plant)
+    return SparseFusion(plant, **order.choices)  # type: ignore[arg-type]
+
+
+def _write(run: Run, data: Measurements, order: Order) -> list[Path]:
+    written = []
+    if order.out is not None:
+        write_run(run, order.out)
+        written.append(order.out)
+    if order.report is not None:
+        written.append(write_report(run, order.report, source=order.data.name, notes=remarks(data)))
+    return written
