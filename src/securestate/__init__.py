@@ -9,17 +9,24 @@ from securestate.errors import (
     SecurestateError,
     ShapeError,
 )
+from securestate.estimators import Estimator, Filter, KalmanFilter, Run, SparseFusion, Status
 from securestate.plant import Belief, Plant, Sensor
 
 __all__ = [
     "Belief",
     "DesignError",
+    "Estimator",
+    "Filter",
     "InputError",
+    "KalmanFilter",
     "MeasurementError",
     "Plant",
     "PlantError",
     "ResumeError",
+    "Run",
     "SecurestateError",
     "Sensor",
     "ShapeError",
+    "SparseFusion",
+    "Status",
 ]

@@ -8,6 +8,7 @@ mod estimate;
 mod filter;
 mod kalman;
 mod kernel;
+mod sparse_fusion;
 
 /// Run-time kernels of securestate.
 #[pymodule]
@@ -20,4 +21,6 @@ mod _kernels {
     use super::kalman::kalman;
     #[pymodule_export]
     use super::kernel::Kernel;
+    #[pymodule_export]
+    use super::sparse_fusion::{PenaltySolver, sparse_fusion};
 }

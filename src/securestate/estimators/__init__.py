@@ -3,5 +3,6 @@
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.run import Run
+from securestate.estimators.sparse_fusion import SparseFusion
 
-__all__ = ["Estimator", "Filter", "KalmanFilter", "Run", "Status"]
+__all__ = ["Estimator", "Filter", "KalmanFilter", "Run", "SparseFusion", "Status"]

@@ -1,0 +1,398 @@
+"""Sparse fusion: the Kalman filter as a sum of local estimates, fused so that a few liars cannot move it.
+
+    local filters     ζ_i(k+1) = T ζ_i(k) + b y_i(k+1)                                     (12)
+    decomposition     x̂ = Σ F_i ζ_i  is the Kalman filter                                  (11), Theorem 1
+    local errors      ε_i = G_i x − ζ_i,  Cov(ε) = W                                        (19), (29)
+    secure fusion     min ½ φᵀ W⁻¹ φ + γ ‖ϑ‖   subject to   ζ = G x − φ − ϑ                 (31)
+
+With x and φ eliminated, (31) is  min ½ fᵀ N f − ν₀ᵀ f + γ ‖f‖  with  ν₀ = −N ζ  and  x_s = F (ζ + f), where
+N = W⁻¹ − W⁻¹ G (Gᵀ W⁻¹ G)⁻¹ Gᵀ W⁻¹ and f is the estimate of ϑ. If f = 0 is optimal, x_s is the Kalman estimate.
+
+References:
+    Liu, Mo, Garone 2020, "Local Decomposition of Kalman Filters and Its Application for Secure State Estimation".
+Deviations from the paper, form="robust":
+    * (T, b) is the orthonormal Takenaka-Malmquist pair, not the Jordan form: W ≥ R ⊗ I always, for any n.
+    * Only modes of A with |μ| ≥ cut get a flat prior (a column of G). The others keep their stationary prior, so
+      that A may be singular and may share eigenvalues with A − K C A (no Assumption 1 or 2).
+    * One penalty per sensor, γ_i ‖f_i‖ in the metric N_ii, instead of one per element: independent of the basis.
+    * γ_i is chosen from the probability that the answer is the Kalman estimate (Theorem 3 asks for ‖ν₀‖ ≤ γ;
+      Cov ν₀ = N exactly, so the dual norm of sensor i is χ² with as many degrees of freedom as N_ii has rank).
+    * Refit: sensors with ‖f_i‖ > 3 lose their penalty, largest first, and the rest is solved again. This removes
+      the shrinkage of the LASSO; at most as many sensors as can be outvoted, ⌊(N − 1) / 2⌋.
+    * Attack estimate: least squares in the metric N_ii, which is divided by bᵀ N_ii b.
+form="paper" is (31) as printed. Complex eigenvalues appear as real 2 × 2 blocks, an exact change of coordinates.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from securestate import _kernels
+from securestate.errors import DesignError, InputError
+from securestate.estimators import _decomposition as atoms
+from securestate.estimators._pairs import Pair, jordan, takenaka_malmquist
+from securestate.estimators._steady_state import SteadyState, steady_state
+from securestate.estimators.base import Estimator
+from securestate.plant import Plant
+
+Float = NDArray[np.float64]
+
+#: Modes at least this slow get a flat prior in the robust form.
+CUT = 0.999
+#: ‖f_i‖ above which a sensor is suspected, in standard deviations of its own information.
+SUSPICION = 3.0
+#: Largest condition number of W that the paper form accepts.
+CONDITION_LIMIT = 1e12
+#: Largest n · m: the solver's matrix has (n · m)² numbers.
+SIZE_LIMIT = 6000
+#: Eigenvalues of N_ii below this share of the largest count as zero: nobody else sees that direction.
+RANK_TOLERANCE = 1e-10
+#: Share of missing samples above which a steady-state filter is the wrong tool.
+MISSING_LIMIT = 0.1
+
+
+@dataclass(frozen=True)
+class Decomposition:
+    """The constant matrices of the method, in the paper's letters.
+
+    Attributes:
+        steady: K, P and M = A − K C A of the Kalman filter, (5)-(6).
+        pair: T and b of the local filters (12).
+        split: which modes get a flat prior; V_u are their directions.
+        G: (m, n, n_u), ζ_i estimates G_i x_u, (18) and (20).
+        F: (m, n, n), x̂ = Σ F_i ζ_i, (13).
+        W: (m n, m n), covariance (29) of the local errors.
+        N: (m n, m n), information left after x has been eliminated.
+        weights: W and N in factored form.
+    """
+
+    steady: SteadyState
+    pair: Pair
+    split: atoms.Split
+    G: Float
+    F: Float
+    W: Float
+    N: Float
+    weights: atoms.Weights
+
+
+@final
+class SparseFusion(Estimator):
+    """Secure state estimation by sparse fusion of local Kalman estimates (Liu, Mo, Garone).
+
+    Equals the Kalman filter with probability `kalman_probability` per sample when nobody lies, and stays near it
+    while a minority of sensors sends anything at all. For time-invariant plants.
+
+    Args:
+        plant: the plant; (A, C) detectable, process noise in every mode on the unit circle.
+        form: "robust" (ours, for any plant) or "paper" (as printed, small well-conditioned plants).
+        kalman_probability: probability per sample of returning exactly the Kalman estimate when nobody lies.
+            Default 0.95. Robust form only.
+        gamma: the penalty itself instead; a number, or one per sensor (robust form). The paper form needs it.
+        refit: remove the shrinkage from suspected sensors; default True for "robust", False for "paper".
+
+    Raises:
+        DesignError: the plant has no steady-state filter, is too large, or breaks an assumption of the paper.
+        InputError: a setting is out of range.
+
+    Notes:
+        A missing channel is filled with its prediction and its sensor is left out for that sample. Above about
+        10 % missing samples use a time-varying filter (`run` warns).
+        `Run.trust` is 1 / (1 + (‖f_i‖ / 3)²), with ‖f_i‖ the accusation in standard deviations; a sensor is
+        suspected when it falls below one half. `Run.P` is the covariance without the sensors in use by f.
+        NOT_CONVERGED: the relative duality gap stayed above 1e-9. ILL_CONDITIONED: the sensors that are not
+        accused do not determine the state.
+
+    Examples:
+        >>> from securestate import Plant, Sensor, SparseFusion
+        >>> sensors = [Sensor(name, C=[[1.0]], R=1.0) for name in ("a", "b", "c")]
+        >>> estimator = SparseFusion(Plant([[0.9]], [[1.0]], sensors))
+        >>> run = estimator.run([[0.1, -0.2, 50.0], [0.3, 0.1, 50.0]])
+        >>> print(run.suspected[-1], abs(run.x[-1, 0]) < 1)
+        [False False  True] True
+    """
+
+    missing_limit = MISSING_LIMIT
+    decomposition: Decomposition
+
+    def __init__(
+        self,
+        plant: Plant,
+        *,
+        form: Literal["robust", "paper"] = "robust",
+        kalman_probability: float | None = None,
+        gamma: float | NDArray[np.float64] | None = None,
+        refit: bool | None = None,
+    ) -> None:
+        _check_settings(plant, form, kalman_probability, gamma)
+        if plant.n * plant.m > SIZE_LIMIT:
+            raise DesignError(
+                f"sparse fusion of n = {plant.n} states and m = {plant.m} channels needs a matrix of "
+                f"{plant.n * plant.m} x {plant.n * plant.m}; the limit is {SIZE_LIMIT}",
+                "use a smaller model, or the Kalman filter with a detector",
+            )
+        refit = form == "robust" if refit is None else refit
+        self.decomposition = _robust(plant) if form == "robust" else _paper(plant)
+        coordinates = _coordinates(plant, self.decomposition, form)
+        if form == "robust":
+            if gamma is None:
+                kalman_probability = 0.95 if kalman_probability is None else kalman_probability
+                gammas = _gamma_from_probability(coordinates, kalman_probability)
+            else:
+                gammas = np.broadcast_to(np.asarray(gamma, dtype=np.float64), (plant.n_sensors,))
+        else:
+            gammas = np.asarray(gamma) * np.sqrt(np.diff(coordinates.groups))
+        settings = {
+            "form": form,
+            "kalman_probability": kalman_probability,
+            "gamma": np.unique(gammas).tolist() if gamma is None else np.asarray(gamma).tolist(),
+            "refit": refit,
+        }
+        kernel = _kernels.sparse_fusion(_design(plant, self.decomposition, coordinates, gammas, refit=refit))
+        super().__init__(plant, kernel, settings)
+
+
+def _check_settings(
+    plant: Plant, form: str, probability: float | None, gamma: float | NDArray[np.float64] | None
+) -> None:
+    if form not in ("robust", "paper"):
+        raise InputError("form", '"robust" or "paper"', repr(form))
+    if probability is not None and gamma is not None:
+        raise InputError("gamma", "either gamma or kalman_probability", "both")
+    if probability is not None and not 0 < probability < 1:
+        raise InputError("kalman_probability", "a number in (0, 1)", repr(probability))
+    if form == "paper" and gamma is None:
+        raise InputError("gamma", 'a number > 0, because form="paper" has no probability knob', "None")
+    if gamma is not None:
+        values = np.asarray(gamma, dtype=np.float64)
+        if not np.all(np.isfinite(values)) or np.any(values <= 0):
+            raise InputError("gamma", "finite numbers > 0", repr(gamma))
+        if values.ndim and (form == "paper" or values.shape != (plant.n_sensors,)):
+            raise InputError("gamma", f"a number, or shape ({plant.n_sensors},) in robust form", f"{values.shape}")
+
+
+def _robust(plant: Plant) -> Decomposition:
+    """Orthonormal pair, flat prior for the slow modes only."""
+    steady = steady_state(plant)
+    pair = takenaka_malmquist(steady.M)
+    return _decompose(plant, steady, pair, atoms.split_modes(plant.A, steady.M, CUT), gramian=None)
+
+
+def _paper(plant: Plant) -> Decomposition:
+    """Jordan pair, flat prior for every mode; refuses what breaks the paper's assumptions."""
+    steady = steady_state(plant)
+    poles, mu = np.linalg.eigvals(steady.M), np.linalg.eigvals(plant.A)
+    distance = np.abs(poles[:, np.newaxis] - mu)
+    if distance.min() <= 1e-9 * max(1.0, np.abs(mu).max()):
+        shared = mu[np.unravel_index(distance.argmin(), distance.shape)[1]]
+        raise DesignError(
+            f"A and A − K C A share the eigenvalue {shared:.6g} (Assumption 2 of the paper)",
+            'use form="robust", which needs no such assumption',
+        )
+    pair = jordan(steady.M)
+    gramian = atoms.stein(pair.T, np.outer(pair.b, pair.b), pair.T.T)
+    try:
+        result = _decompose(plant, steady, pair, atoms.no_split(plant.A), gramian=gramian)
+        condition = float(np.linalg.cond(result.W))
+    except np.linalg.LinAlgError:
+        condition = np.inf
+    if not condition <= CONDITION_LIMIT:
+        raise DesignError(
+            f"in the Jordan basis W has the condition number {condition:.1e}, above {CONDITION_LIMIT:.0e}",
+            'use form="robust", whose W is never worse than the plant itself',
+        )
+    return result
+
+
+def _decompose(
+    plant: Plant, steady: SteadyState, pair: Pair, split: atoms.Split, gramian: Float | None
+) -> Decomposition:
+    E = atoms.observation_maps(split, pair.T, pair.b)
+    cov = atoms.local_error_covariance(split, E, plant.Q, pair.T, pair.b)
+    weights = atoms.weights(plant.C, plant.R, E, cov, gramian)
+    return Decomposition(
+        steady=steady,
+        pair=pair,
+        split=split,
+        G=np.einsum("ij,jkl->ikl", plant.C, E),
+        F=atoms.fusion_maps(steady.M, steady.gain, pair.T, pair.b, gramian),
+        W=atoms.dense_covariance(plant.C, plant.R, cov, gramian),
+        N=weights.dense(),
+        weights=weights,
+    )
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """f_i = S_i g_i, chosen per sensor so that the penalty is a plain 2-norm and the blocks of H are diagonal.
+
+    Attributes:
+        S: per sensor, (n c_i, d_i): U Λ^{-1/2} of N_ii (robust), a rotation of each complex pair (paper).
+        S_inverse: per sensor, (d_i, n c_i).
+        groups: first element of every penalty group, and d.
+        sensors: first element of every sensor, and d.
+        locals_: first entry of every sensor in ζ, and m n.
+        H: Sᵀ N S, (d, d).
+    """
+
+    S: list[Float]
+    S_inverse: list[Float]
+    groups: NDArray[np.int64]
+    sensors: NDArray[np.int64]
+    locals_: NDArray[np.int64]
+    H: Float
+
+
+def _coordinates(plant: Plant, parts: Decomposition, form: str) -> Coordinates:
+    channels = [plant.channels_of(i) for i in range(plant.n_sensors)]
+    locals_ = np.array([c.start * plant.n for c in channels] + [plant.m * plant.n])
+    blocks = [slice(a, b) for a, b in zip(locals_[:-1], locals_[1:], strict=True)]
+    if form == "robust":
+        pairs = [_whiten(parts.N[s, s]) for s in blocks]
+        groups = sensors = np.cumsum([0] + [S.shape[1] for S, _ in pairs])
+    else:
+        pairs = [_rotate(parts.N[s, s], parts.pair, plant.n) for s in blocks]
+        sensors = locals_
+        sizes = [len(group) for group in parts.pair.groups] * plant.m
+        groups = np.cumsum([0, *sizes])
+    H = np.empty((sensors[-1], sensors[-1]))
+    for (S_i, _), a, rows in zip(pairs, range(len(pairs)), blocks, strict=True):
+        left = S_i.T @ parts.N[rows]
+        for (S_j, _), c, columns in zip(pairs, range(len(pairs)), blocks, strict=True):
+            H[sensors[a] : sensors[a + 1], sensors[c] : sensors[c + 1]] = left[:, columns] @ S_j
+    return Coordinates([S for S, _ in pairs], [I for _, I in pairs], groups, sensors, locals_, (H + H.T) / 2)
+
+
+def _whiten(N_ii: Float) -> tuple[Float, Float]:
+    """U Λ^{-1/2} and Λ^{1/2} Uᵀ over the directions that other sensors can check."""
+    values, U = np.linalg.eigh(N_ii)
+    keep = values > RANK_TOLERANCE * values[-1]
+    root = np.sqrt(values[keep])
+    return U[:, keep] / root, (U[:, keep] * root).T
+
+
+def _rotate(N_ii: Float, pair: Pair, n: int) -> tuple[Float, Float]:
+    """A rotation inside every complex pair that makes its 2 × 2 block of N diagonal; the norm is unchanged."""
+    S = np.zeros_like(N_ii)
+    for start in range(0, len(N_ii), n):
+        for group in pair.groups:
+            at = np.ix_(start + group, start + group)
+            S[at] = np.linalg.eigh(N_ii[at])[1] if len(group) > 1 else 1.0
+    return S, S.T
+
+
+def _gamma_from_probability(coordinates: Coordinates, probability: float) -> Float:
+    """γ_i with P(‖ν₀_i‖ ≤ γ_i for all i) ≥ probability when nobody lies: each gets the N-th root of it."""
+    degrees = np.diff(coordinates.sensors)
+    share = probability ** (1 / len(degrees))
+    return np.sqrt(chi2.ppf(share, np.maximum(degrees, 1)))
+
+
+def _design(
+    plant: Plant, parts: Decomposition, coordinates: Coordinates, gammas: Float, *, refit: bool
+) -> dict[str, object]:
+    """Everything the kernel needs, by the name of its field."""
+    n, m, k = plant.n, plant.m, parts.split.flat
+    T, b, steady, split = parts.pair.T, parts.pair.b, parts.steady, parts.split
+    V_s, B_modes = split.V[:, k:], split.V_inv @ plant.B
+    # (19): the known input moves ζ_i by (G_i − b C_i) B u, here for the flat modes only
+    into = parts.G - b[:, np.newaxis] * (plant.C @ split.V[:, :k])[:, np.newaxis, :]
+    F = parts.F.transpose(1, 0, 2).reshape(n, m * n)
+    now, before = _attack_maps(plant, parts, coordinates)
+    joseph = np.eye(n) - steady.gain @ plant.C
+    arrays = {
+        "a": plant.A,
+        "b": plant.B,
+        "c": plant.C,
+        "d": plant.D,
+        "t_transposed": T.T,
+        "drive": b,
+        "input_map": into.reshape(m * n, k) @ B_modes[:k],
+        "start_map": into.reshape(m * n, k),
+        "modes": split.V_inv,
+        "a_s": split.A_s,
+        "b_s": B_modes[k:],
+        "c_s": plant.C @ V_s,
+        "v_s": V_s,
+        "fusion": F,
+        "fusion_g": _apply_right(F, coordinates),
+        "hessian": coordinates.H,
+        "gamma": gammas,
+        "attack_now": now,
+        "attack_before": before,
+        "p": steady.P_posterior,
+        "q": plant.Q,
+        "krk": steady.gain @ plant.R @ steady.gain.T,
+        "ikc": joseph,
+        "innovation_std": np.sqrt(np.diag(steady.innovation_cov)),
+        "basis_inverse": np.concatenate([I.ravel() for I in coordinates.S_inverse]),
+        "offset": plant.offset,
+        "scale": plant.scale,
+        "input_offset": plant.input_offset,
+        "input_scale": plant.input_scale,
+        **_projection(plant, parts, coordinates),
+    }
+    return {name: np.ascontiguousarray(value, dtype=np.float64) for name, value in arrays.items()} | {
+        "n": n,
+        "m": m,
+        "N": plant.n_sensors,
+        "p_inputs": plant.n_inputs,
+        "groups": coordinates.groups.tolist(),
+        "sensors": coordinates.sensors.tolist(),
+        "locals": coordinates.locals_.tolist(),
+        "channel_sensor": plant.channel_sensor.tolist(),
+        "suspicion": SUSPICION,
+        "refit": (plant.n_sensors - 1) // 2 if refit else 0,
+    }
+
+
+def _apply_right(F: Float, coordinates: Coordinates) -> Float:
+    """F S."""
+    starts = coordinates.locals_
+    return np.hstack(
+        [F[:, a:b] @ S for a, b, S in zip(starts[:-1], starts[1:], coordinates.S, strict=True)]
+    )
+
+
+def _projection(plant: Plant, parts: Decomposition, coordinates: Coordinates) -> dict[str, Float]:
+    """−Sᵀ N dense, or its factors where they are cheaper to apply (many more channels than states)."""
+    n, m = plant.n, plant.m
+    weights = parts.weights
+    r = weights.Z.shape[1]
+    diagonal = np.array_equal(plant.R, np.diag(np.diag(plant.R)))
+    plain = np.array_equal(weights.gram_root, np.eye(n))
+    structured_cost = (r * n) ** 2 + 2 * r * m * n + m * n * n
+    if diagonal and plain and structured_cost < 0.7 * (m * n) ** 2:
+        return {
+            "precision": 1 / np.diag(plant.R),
+            "mix": weights.Z,
+            "core": weights.K,
+            "basis_transposed": np.concatenate([S.T.ravel() for S in coordinates.S]),
+        }
+    return {"projection": -_apply_right(parts.N, coordinates).T}
+
+
+def _attack_maps(plant: Plant, parts: Decomposition, coordinates: Coordinates) -> tuple[Float, Float]:
+    """Rows that turn g(k) and g(k−1) of a sensor into the attack on each of its channels.
+
+    ϑ_i(k) − T ϑ_i(k−1) = −b a_i(k), solved for a_i by least squares in the metric N_ii.
+    """
+    n, T, b = plant.n, parts.pair.T, parts.pair.b
+    d = int(coordinates.sensors[-1])
+    now, before = np.zeros((plant.m, d)), np.zeros((plant.m, d))
+    for i in range(plant.n_sensors):
+        rows = plant.channels_of(i)
+        count = rows.stop - rows.start
+        local = slice(rows.start * n, rows.stop * n)
+        into = np.kron(np.eye(count), b[:, np.newaxis])
+        metric = parts.N[local, local]
+        weight = np.linalg.lstsq(into.T @ metric @ into, into.T @ metric, rcond=None)[0]
+        columns = slice(coordinates.sensors[i], coordinates.sensors[i + 1])
+        now[rows, columns] = -weight @ coordinates.S[i]
+        before[rows, columns] = weight @ np.kron(np.eye(count), T) @ coordinates.S[i]
+    return now, before
