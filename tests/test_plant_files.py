@@ -137,7 +137,7 @@ MISTAKES = [
     (
         'name = "pump"',
         'name = "pump"\nscale = [1]',
-        "[[input]] number 1 scale: expected shape () (one number)",
+        "[[input]] number 1 scale: expected shape (), one number",
     ),
     ('name = "pump"', 'name = "pump"\nunit = "V"', "[[input]] number 1 unit: expected a key among"),
     ('name = "pump"', 'name = "pump"\n[[input]]\nname = "b"', "input_names: expected 1 names, received 2"),

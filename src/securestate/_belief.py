@@ -41,5 +41,5 @@ class Belief(Value):
 
 
 def _belief_covariance(P: ArrayLike, n: int) -> Array:
-    spread = check.shaped("P", P, (n, n), "to fit x", ShapeError)
+    spread = check.shaped("P", P, (n, n), " to fit x", ShapeError)
     return check.positive_semidefinite("P", spread, InputError)

@@ -61,7 +61,7 @@ def shaped(argument: str, value: object, shape: tuple[int, ...], meaning: str, e
     """Return finite real numbers of exactly this shape."""
     numbers = real_array(argument, value, error)
     if numbers.shape != shape:
-        raise error(argument, f"shape {shape} {meaning}".rstrip(), f"shape {numbers.shape}")
+        raise error(argument, f"shape {shape}{meaning}", f"shape {numbers.shape}")
     return numbers
 
 
@@ -91,7 +91,8 @@ def positive_number(argument: str, value: object, error: Error) -> float:
 
 def symmetric(argument: str, matrix: Array, error: Error) -> Array:
     """Average away rounding up to `SYMMETRY` relative to the largest entry; refuse anything larger."""
-    gap = np.abs(matrix - matrix.T)
+    with np.errstate(over="ignore"):
+        gap = np.abs(matrix - matrix.T)
     if np.any(gap > SYMMETRY * np.max(np.abs(matrix), initial=0.0)):
         i, j = sorted(int(k) for k in np.unravel_index(int(np.argmax(gap)), gap.shape))
         raise error(
@@ -121,7 +122,10 @@ def positive_definite(argument: str, matrix: Array, error: Error) -> Array:
         i = int(np.argmax(variances <= 0))
         raise error(argument, "variances > 0 on the diagonal", f"{float(variances[i])!r} at [{i}, {i}]")
     spread = np.sqrt(variances)
-    unitless = matrix / spread[:, None] / spread
+    with np.errstate(over="ignore"):
+        unitless = matrix / spread[:, None] / spread
+    if np.any(np.abs(unitless) > 1 + SYMMETRY):
+        raise error(argument, "a positive definite matrix", "a correlation outside -1..1")
     smallest = np.linalg.eigvalsh(symmetric(argument, unitless, error))[0]
     if smallest <= 10 * len(matrix) * np.finfo(np.float64).eps:
         raise error(

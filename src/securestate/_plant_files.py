@@ -181,7 +181,7 @@ def _inputs(inputs: list[Table]) -> Table:
 
 def _number(index: int, table: Table, key: str, default: float) -> float:
     value = table.get(key, default)
-    return float(check.shaped(f"{_at('input', index)} {key}", value, (), "(one number)", PlantError))
+    return float(check.shaped(f"{_at('input', index)} {key}", value, (), ", one number", PlantError))
 
 
 def _process_noise(plant: Table) -> check.Array:

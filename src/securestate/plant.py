@@ -149,7 +149,7 @@ class Plant(Value):
         self._fill(
             A=dynamics,
             Q=check.positive_semidefinite(
-                "Q", check.shaped("Q", Q, (n, n), "(n, n)", PlantError), PlantError
+                "Q", check.shaped("Q", Q, (n, n), ", n from A", PlantError), PlantError
             ),
             C=seen,
             R=build.noise(R, owned),

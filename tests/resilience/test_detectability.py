@@ -87,6 +87,22 @@ def test_the_head_of_a_jordan_block_is_found_in_any_coordinates(size: int, seed:
     assert undetectable_modes(rotated(jordan, np.eye(size)[0], seed)) == ()
 
 
+@pytest.mark.parametrize("size", [2, 3, 4, 5])
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hidden_jordan_block_counts_once_however_its_eigenvalues_scatter(size: int, seed: int) -> None:
+    A = np.zeros((size + 1, size + 1))
+    A[:size, :size] = np.eye(size) + np.eye(size, k=1)
+    (mode,) = undetectable_modes(rotated(A, np.eye(size + 1)[-1], seed))
+    assert mode.eigenvalue == pytest.approx(1, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_hidden_plane_of_one_eigenvalue_gives_two_directions(seed: int) -> None:
+    modes = undetectable_modes(rotated(np.diag([1.0, 1.0, 1.0, 0.5]), np.eye(4)[2:], seed))
+    assert [mode.eigenvalue for mode in modes] == pytest.approx([1, 1])
+    assert np.linalg.matrix_rank(np.stack([mode.direction for mode in modes])) == 2
+
+
 @given(st.integers(0, 10_000), st.integers(1, 4), st.integers(1, 4))
 def test_a_hidden_unstable_subspace_is_found_in_any_coordinates(seed: int, seen: int, hidden: int) -> None:
     rng = np.random.default_rng(seed)

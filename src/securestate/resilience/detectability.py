@@ -24,8 +24,11 @@ Complex = NDArray[np.complex128]
 
 CUT = 1 - 1e-9  # a mode of at least this size does not fade
 RANK = 1e-8  # singular value, relative to the largest, that counts as zero
-SAME = 1e-3  # distance within which eigenvalues, and directions, may stand for one mode
-NEIGHBOURS = (1e-7, 1e-5, 1e-3)  # scatter of Jordan blocks of size 2, 3 and 5
+SAME = 1e-2  # relative distance within which eigenvalues may stand for one mode ...
+SPAN = 0.05  # ... if the direction leaves the span of those already known by no more than this
+NEIGHBOURS = (1e-2, 1e-3, 1e-5, 1e-7)  # scatter of Jordan blocks of size 7, 5, 3 and 2
+EXACT = 1e-12  # relative singular value of an eigenvalue that is as good as exact
+REAL = 1e-8  # relative imaginary part that counts as zero
 SHARE = 0.5  # a state is named if its part in a direction is at least this much of the largest
 
 
@@ -107,19 +110,27 @@ def _hidden(A: Array, C: Array, cut: float, names: tuple[str, ...]) -> tuple[Mod
         raise InputError("cut", "a number >= 0", check.describe(cut))
     tested = [(value, *_null_space(A, C, value)) for value in _candidates(A) if abs(value) >= least]
     found: list[tuple[complex, Complex]] = []
-    for value, _, directions in sorted(tested, key=lambda item: item[1]):
+    for value, _, directions in sorted(tested, key=lambda item: item[1] > EXACT):
         for direction in _readable(directions):
-            if not any(_alike(value, direction, *other) for other in found):
+            if not _known(value, direction, found):
                 found.append((value, direction))
     found.sort(key=lambda item: (-abs(item[0]), -item[0].real))
     return tuple(Mode(value, _largest(direction, names), direction) for value, direction in found)
 
 
 def _candidates(A: Array) -> list[complex]:
-    """Return eigenvalues of A and means of neighbouring ones; of a conjugate pair the upper one."""
+    """Return means of neighbouring eigenvalues of A, widest groups first, then the eigenvalues.
+
+    Of a conjugate pair only the upper one is returned.
+    """
     values = np.linalg.eigvals(A).astype(np.complex128)
     means = [mean for reach in NEIGHBOURS for mean in _means(values, reach * max(1.0, np.abs(values).max()))]
-    return [complex(value.real, abs(value.imag)) for value in [*values, *means] if value.imag >= 0]
+    return list({_upper(value): None for value in [*means, *values] if value.imag >= -REAL})
+
+
+def _upper(value: complex) -> complex:
+    """Return the value as a plain complex number, real if its imaginary part is mere scatter."""
+    return complex(value.real, value.imag if value.imag > REAL * max(1.0, abs(value)) else 0.0)
 
 
 def _means(values: Complex, reach: float) -> Iterator[complex]:
@@ -132,8 +143,7 @@ def _means(values: Complex, reach: float) -> Iterator[complex]:
             group |= grown
             left -= grown
         if len(group) > 1:
-            mean = values[sorted(group)].mean()
-            yield complex(mean.real, 0.0 if abs(mean.imag) < 1e-12 * abs(mean) else mean.imag)
+            yield complex(values[sorted(group)].mean())
 
 
 def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
@@ -141,9 +151,10 @@ def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
     n = len(A)
     stacked = np.vstack([A - value * np.eye(n), C])
     rows, columns = _equilibrium(np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)]))
-    _, sizes, Vh = np.linalg.svd(rows[:, None] * stacked * columns)
-    sizes = np.concatenate([sizes, np.zeros(n - len(sizes))]) / max(sizes[0], np.finfo(np.float64).tiny)
-    return float(sizes[-1]), Vh[sizes <= RANK].conj() * columns
+    scaled = rows[:, None] * (stacked if value.imag else stacked.real) * columns
+    _, sizes, Vh = np.linalg.svd(scaled, full_matrices=False)
+    sizes = sizes / max(sizes[0], np.finfo(np.float64).tiny)
+    return float(sizes[-1]), (Vh[sizes <= RANK].conj() * columns).astype(np.complex128)
 
 
 def _equilibrium(sizes: Array) -> tuple[Array, Array]:
@@ -181,9 +192,13 @@ def _normal(direction: Complex) -> Complex:
     return unit
 
 
-def _alike(value: complex, direction: Complex, other: complex, known: Complex) -> bool:
-    near = abs(value - other) <= SAME * max(1.0, abs(other))
-    return near and bool(np.linalg.norm(direction - known * np.vdot(known, direction)) <= SAME)
+def _known(value: complex, direction: Complex, found: list[tuple[complex, Complex]]) -> bool:
+    """Tell whether a direction lies in the span of those found at nearly the same eigenvalue."""
+    near = [known for other, known in found if abs(value - other) <= SAME * max(1.0, abs(other))]
+    if not near:
+        return False
+    basis = np.linalg.qr(np.stack(near, axis=1))[0]
+    return bool(np.linalg.norm(direction - basis @ (basis.conj().T @ direction)) <= SPAN)
 
 
 def _largest(direction: Complex, names: tuple[str, ...]) -> tuple[str, ...]:
