@@ -28,6 +28,7 @@ async function unpack(name) {
   return {
     columns,
     column: (c) => codes.subarray(c * rows, (c + 1) * rows),
+    code: (c, value) => (value - offset[c]) / step[c],
     value: (c, code) => (code === MISSING ? null : offset[c] + step[c] * code),
   };
 }
@@ -58,7 +59,7 @@ async function makeClock() {
     if (unit === "date") return new Date(at(i)).toISOString().replace("T", " ").replace(/(:00)?\.\d+Z$/, "");
     return unit === "sample" ? `sample ${i}` : `${at(i).toFixed(decimals)} ${unit}`;
   };
-  return { unit, at, edge, index, text };
+  return { unit, at, edge, index, text, step: regular && regular[1] };
 }
 
 /** Samples [from, to) in at most `most` bins: their first samples, with `to` at the end. */
