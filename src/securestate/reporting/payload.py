@@ -75,7 +75,7 @@ def unpack(block: Block) -> NDArray[np.float64]:
 
 def pack_bytes(data: bytes) -> str:
     """Bytes as base64 of gzip; the same bytes always give the same text."""
-    return base64.b64encode(gzip.compress(data, compresslevel=6, mtime=0)).decode("ascii")
+    return base64.b64encode(gzip.compress(data, compresslevel=4, mtime=0)).decode("ascii")
 
 
 def _planes_text(codes: NDArray[np.int16]) -> str:
