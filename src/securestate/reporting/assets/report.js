@@ -165,7 +165,8 @@ async function buildInjections(suspected) {
     section.querySelector(".hint").textContent = "This estimator made no estimate of injections.";
     return;
   }
-  pages(section, known.map((c) => MANIFEST.channels[c].name), Math.min(4, known.length),
+  const suspects = known.filter((c) => MANIFEST.sensors[MANIFEST.channels[c].sensor].share > 0).length;
+  pages(section, known.map((c) => MANIFEST.channels[c].name), Math.max(2, Math.min(4, suspects)),
     (i) => channelRow(attack, suspected, known[i], MANIFEST.channels[known[i]].unit), 130);
 }
 
