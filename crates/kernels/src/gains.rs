@@ -4,9 +4,9 @@
 //! Runs that miss the same samples share the first part and stay equal to the bit.
 
 use crate::linalg::{axpy, dot};
-use crate::model::Model;
+use crate::model::{Model, add_product};
 use crate::ud::Ud;
-use crate::whitening::Whitening;
+use crate::whitening::{LogProduct, Whitening};
 use crate::{Dims, Output, Status};
 
 const LOG_2PI: f64 = 1.837_877_066_409_345_5;
@@ -115,12 +115,14 @@ impl Gains {
     ) {
         let n = model.dims.states;
         innovation_deviations(model, k, p, &mut scratch.channel, &mut self.innovation_std);
+        let mut log_det = LogProduct::default();
         let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact_mut(n));
         for ((row, gain), precision) in rows.zip(&mut self.precision).take(self.count) {
             let s = p.condition(row, &mut scratch.state, gain);
-            self.log_det += s.ln();
+            log_det.multiply(s);
             *precision = 1.0 / s;
         }
+        self.log_det += log_det.log();
         p.variances(&mut self.x_std);
         self.x_std.iter_mut().for_each(|v| *v = v.sqrt());
         if keep_covariance {
@@ -190,9 +192,7 @@ fn innovation_deviations(model: &Model, k: usize, p: &Ud, f: &mut [f64], out: &m
     }
     for (j, &d) in p.d.iter().enumerate() {
         f.copy_from_slice(&c_t[j * m..(j + 1) * m]); // column j of C U
-        for (row, &u) in c_t.chunks_exact(m).zip(p.column(j)) {
-            axpy(u, row, f);
-        }
+        add_product(1.0, &c_t[..j * m], p.column(j), f);
         for (variance, &value) in out.iter_mut().zip(f.iter()) {
             *variance += d * value * value;
         }

@@ -117,27 +117,34 @@ impl Model {
     /// `out` = y − C x − D u, NaN where y is.
     pub fn innovation(&self, k: usize, x: &[f64], (y, u): (&[f64], &[f64]), out: &mut [f64]) {
         out.copy_from_slice(y);
-        subtract_product(self.c_t(k), x, out);
-        subtract_product(&self.d_t, u, out);
+        add_product(-1.0, self.c_t(k), x, out);
+        add_product(-1.0, &self.d_t, u, out);
     }
 
     /// `out` = A x + B u.
     pub fn predict(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
         out.fill(0.0);
-        let a_t = at(&self.a_t, k, x.len() * x.len());
-        for (column, &value) in a_t.chunks_exact(x.len()).zip(x) {
-            axpy(value, column, out);
-        }
-        for (column, &value) in self.b_t.chunks_exact(x.len()).zip(u) {
-            axpy(value, column, out);
-        }
+        add_product(1.0, at(&self.a_t, k, x.len() * x.len()), x, out);
+        add_product(1.0, &self.b_t, u, out);
     }
 }
 
-/// `out` −= M v, M given by its columns.
-fn subtract_product(columns: &[f64], v: &[f64], out: &mut [f64]) {
-    for (column, &value) in columns.chunks_exact(out.len()).zip(v) {
-        axpy(-value, column, out);
+/// `out` += sign · Σ v_j column_j, four columns per pass over `out`.
+pub fn add_product(sign: f64, columns: &[f64], v: &[f64], out: &mut [f64]) {
+    let size = out.len();
+    let (fours, rest) = v.as_chunks::<4>();
+    let (four_columns, columns) = columns.split_at(fours.len() * 4 * size);
+    for (block, v) in four_columns.chunks_exact(4 * size).zip(fours) {
+        let (c0, block) = block.split_at(size);
+        let (c1, block) = block.split_at(size);
+        let (c2, c3) = block.split_at(size);
+        let [v0, v1, v2, v3] = v.map(|value| sign * value);
+        for ((((target, c0), c1), c2), c3) in out.iter_mut().zip(c0).zip(c1).zip(c2).zip(c3) {
+            *target += (v0 * c0 + v1 * c1) + (v2 * c2 + v3 * c3);
+        }
+    }
+    for (column, value) in columns.chunks_exact(size).zip(rest) {
+        axpy(sign * value, column, out);
     }
 }
 

@@ -110,14 +110,17 @@ impl Whitening {
             for (l, other) in coupling.iter().zip(done[(i - coupling.len()) * n..].chunks_exact(n)) {
                 axpy(-l, other, row);
             }
-            row.iter_mut().for_each(|value| *value /= scale);
+            let inverse = 1.0 / scale;
+            row.iter_mut().for_each(|value| *value *= inverse);
         }
     }
 
     /// log det L of the first `rows` rows.
     #[must_use]
     pub fn log_det(&self, rows: usize) -> f64 {
-        (0..rows).map(|i| split(self.row(i)).1.ln()).sum()
+        let mut product = LogProduct::default();
+        (0..rows).for_each(|i| product.multiply(split(self.row(i)).1));
+        product.log()
     }
 }
 
@@ -125,4 +128,39 @@ impl Whitening {
 fn split(row: &[f64]) -> (&[f64], f64) {
     let (diagonal, coupling) = row.split_last().unwrap_or((&1.0, &[]));
     (coupling, *diagonal)
+}
+
+/// The logarithm of a product of positive numbers, with one logarithm for many factors.
+#[derive(Debug)]
+pub struct LogProduct {
+    product: f64,
+    log: f64,
+}
+
+impl Default for LogProduct {
+    fn default() -> Self {
+        Self { product: 1.0, log: 0.0 }
+    }
+}
+
+impl LogProduct {
+    /// Take in one more factor.
+    pub fn multiply(&mut self, factor: f64) {
+        const SAFE: std::ops::Range<f64> = 1e-100..1e100;
+        if !SAFE.contains(&factor) {
+            self.log += factor.ln();
+            return;
+        }
+        self.product *= factor;
+        if !SAFE.contains(&self.product) {
+            self.log += self.product.ln();
+            self.product = 1.0;
+        }
+    }
+
+    /// The logarithm of all factors so far.
+    #[must_use]
+    pub fn log(&self) -> f64 {
+        self.log + self.product.ln()
+    }
 }

@@ -1,0 +1,113 @@
+//! A step of any estimator allocates nothing: an allocator counts.
+#![allow(clippy::unwrap_used)]
+
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell;
+
+use securestate_kernels::kalman::Kalman;
+use securestate_kernels::model::{Matrices, Model};
+use securestate_kernels::{Design, Dims, Kernel, Record, Units};
+
+struct Counting;
+
+thread_local! {
+    static ALLOCATIONS: Cell<usize> = const { Cell::new(0) };
+}
+
+fn count() {
+    let _ = ALLOCATIONS.try_with(|n| n.set(n.get() + 1));
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        unsafe { System.alloc(layout) }
+    }
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        unsafe { System.dealloc(pointer, layout) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// Allocations of `body` on this thread.
+fn allocations(body: impl FnOnce()) -> usize {
+    let before = ALLOCATIONS.with(Cell::get);
+    body();
+    ALLOCATIONS.with(Cell::get) - before
+}
+
+/// Steps a filter over 60 samples, some channels or all of them missing now and then; counts allocations.
+fn allocations_of_steps(kernel: &dyn Kernel, prior: Option<&[f64]>) -> usize {
+    let Dims { states, channels, inputs, .. } = kernel.dims();
+    let mut filter = kernel.start(&vec![0.0; states], prior).unwrap();
+    let mut record = Record::new(kernel.dims(), kernel.diagnostics().len(), 1, 1, true);
+    let mut views = record.split();
+    let (mut y, u) = (vec![0.0; channels], vec![0.5; inputs]);
+    let mut total = 0;
+    for k in 0..60 {
+        for (i, value) in y.iter_mut().enumerate() {
+            let missing = k % 20 == 7 || (k % 10 == 3 && i % 2 == 0);
+            let attacked = if i == 0 && k % 7 == 0 { 50.0 } else { 0.0 };
+            *value = if missing { f64::NAN } else { ((k * 13 + i * 7) % 11) as f64 / 11.0 + attacked };
+        }
+        let mut out = views[0].at(0);
+        total += allocations(|| filter.step(&y, &u, &mut out).unwrap());
+    }
+    total
+}
+
+fn identity(n: usize) -> Vec<f64> {
+    (0..n * n).map(|i| if i % (n + 1) == 0 { 1.0 } else { 0.0 }).collect()
+}
+
+/// n states in a chain, every channel sees two of them, neighbouring channels are correlated.
+fn kalman(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let (mut a, mut c, mut r) = (identity(n), vec![0.0; m * n], identity(m));
+    a.iter_mut().for_each(|value| *value *= 0.9);
+    for i in 0..m {
+        c[i * n + i % n] = 1.0;
+        c[i * n + (i + 1) % n] = 0.5;
+        if i > 0 {
+            r[i * m + i - 1] = 0.3;
+            r[(i - 1) * m + i] = 0.3;
+        }
+    }
+    let model = Model::new(Matrices {
+        a,
+        b: vec![0.1; n],
+        c,
+        d: vec![0.2; m],
+        q: identity(n),
+        r,
+        channel_sensor: (0..m).collect(),
+        sensors: m,
+        states,
+    });
+    let units =
+        Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] };
+    let estimator = Kalman::new(model.unwrap(), Some(&identity(n))).unwrap();
+    Design::boxed(estimator, units).unwrap()
+}
+
+#[test]
+fn the_counter_counts() {
+    assert_eq!(allocations(|| drop(std::hint::black_box(vec![0; 9]))), 1);
+}
+
+#[test]
+fn a_kalman_step_allocates_nothing() {
+    for (n, m) in [(1, 1), (4, 5), (12, 30)] {
+        let kernel = kalman(n, m);
+        assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m})");
+        let prior = identity(n);
+        assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m})");
+    }
+}
