@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import signal
 import sys
+import warnings
 from collections.abc import Sequence
 from importlib.metadata import version
 from types import FrameType
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 
@@ -52,7 +53,13 @@ def main() -> int:
 
 def execute(arguments: Sequence[str]) -> Exit:
     """Run one command line and return its exit code."""
-    return outcome(lambda: app(list(arguments), prog_name="securestate", standalone_mode=False))
+    with warnings.catch_warnings():
+        warnings.showwarning = _warn  # one line, without the place in our code
+        return outcome(lambda: app(list(arguments), prog_name="securestate", standalone_mode=False))
+
+
+def _warn(message: Warning | str, *_: Any, **__: Any) -> None:
+    print(f"warning: {message}", file=sys.stderr)
 
 
 def _terminated(signum: int, _: FrameType | None) -> NoReturn:

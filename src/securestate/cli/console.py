@@ -15,7 +15,7 @@ from rich.table import Table
 from rich.text import Text
 
 from securestate.estimators import Run
-from securestate.reporting import Injection, SensorSummary, Summary
+from securestate.reporting import SensorSummary, Summary
 from securestate.reporting.clock import Clock
 
 WIDE = 120  # columns, where the output is no terminal
@@ -79,7 +79,7 @@ def _sensors(summary: Summary, clock: Clock) -> Table:
             _share(sensor.suspected),
             _share(sensor.missing),
             clock.text(sensor.first_alarm.index) if sensor.first_alarm else "-",
-            "\n".join(_injection(each, len(sensor.injections) > 1) for each in sensor.injections),
+            "\n".join(_injections(sensor)) or "-",
             style="bold red" if sensor.lies else None,
         )
     return grid
@@ -98,11 +98,12 @@ def _share(share: float) -> str:
     return f"{min(max(100 * share, 0.1), 99.9):.1f}%"
 
 
-def _injection(injection: Injection, several: bool) -> str:
-    if math.isnan(injection.median):
-        return "-"
-    name = f"{injection.channel}: " if several else ""
-    return f"{name}{injection.median:+.4g} ± {injection.spread:.2g} {injection.unit}".rstrip()
+def _injections(sensor: SensorSummary) -> Iterator[str]:
+    """Yield what a sensor adds to each of its channels, as far as there is an estimate."""
+    for each in sensor.injections:
+        if not math.isnan(each.median):
+            name = f"{each.channel}: " if len(sensor.injections) > 1 else ""
+            yield f"{name}{each.median:+.4g} ± {each.spread:.2g} {each.unit}".rstrip()
 
 
 def _method(summary: Summary) -> Iterator[str]:

@@ -38,10 +38,13 @@ def estimate(
     gamma: Annotated[
         float | None, typer.Option(help="sparse: weight of the penalty, instead of the probability.")
     ] = None,
-    form: Annotated[Form | None, typer.Option(help="sparse: form of the method.  [default: robust]")] = None,
-    no_refit: Annotated[
-        bool, typer.Option("--no-refit", help="sparse: keep the shrunken estimate of the penalised problem.")
-    ] = False,
+    form: Annotated[Form | None, typer.Option(help="sparse: form of the method (default: robust).")] = None,
+    refit: Annotated[
+        bool | None,
+        typer.Option(
+            "--refit/--no-refit", help="sparse: estimate again without the shrinkage.", show_default=False
+        ),
+    ] = None,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
     ] = False,
@@ -49,7 +52,7 @@ def estimate(
         bool, typer.Option("--hold-inputs", help="Inputs that are missing keep their last value.")
     ] = False,
     time_column: Annotated[
-        str | None, typer.Option(metavar="NAME", help="Name of the time column.  [default: time]")
+        str | None, typer.Option(metavar="NAME", help="Name of the time column (default: time).")
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the estimates: .csv, .parquet or .nc.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the report: one .html file.")] = None,
@@ -66,16 +69,16 @@ def estimate(
     A sensor lies if at least half of some 20 samples in a row that it sent are suspected. Files are written
     whole or not at all; an existing file is replaced at the end.
     """
-    from securestate.cli import job  # the scientific libraries take a second to import
+    from securestate.cli.job import Order, run_order  # the scientific libraries take a second to import
 
     choices = {
         "kalman_probability": kalman_probability,
         "gamma": gamma,
         "form": None if form is None else form.value,
-        "refit": False if no_refit else None,
+        "refit": refit,
     }
-    return job.estimate(
-        job.Order(
+    return run_order(
+        Order(
             plant=plant,
             data=data,
             method=method.value,

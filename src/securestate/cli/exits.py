@@ -43,18 +43,22 @@ def outcome(command: Callable[[], object]) -> Exit:
     except (SecurestateError, OSError) as error:
         return _unusable(error)
     except (KeyboardInterrupt, typer.Abort):
-        complain("interrupted; nothing half-written is left behind")
-        return Exit.INTERRUPTED
-    except typer.Exit as end:
-        return Exit(end.exit_code)
+        return _interrupted()
     except Exception as error:  # whatever else comes is a usage error of typer, or a bug
         return _usage_or_bug(error)
-    return result if isinstance(result, Exit) else Exit.CLEAN
+    if result == Exit.INTERRUPTED:  # newer versions of typer catch Ctrl-C themselves
+        return _interrupted()
+    return Exit(result) if isinstance(result, int) else Exit.CLEAN
 
 
 def complain(problem: str) -> None:
     """Tell a problem on stderr."""
     print(f"error: {problem}", file=sys.stderr)
+
+
+def _interrupted() -> Exit:
+    complain("interrupted; no file was changed by halves")
+    return Exit.INTERRUPTED
 
 
 def _unusable(error: Exception) -> Exit:

@@ -9,19 +9,18 @@ from rich.table import Table
 
 from securestate.cli import console
 from securestate.cli.exits import Exit
+from securestate.cli.methods import NAMES, design
 from securestate.errors import DesignError
-from securestate.estimators import KalmanFilter, SparseFusion
 from securestate.plant import Plant
 from securestate.resilience import undetectable_modes, unobserved_modes
 
-METHODS = {"kalman": KalmanFilter, "sparse": SparseFusion}
 MARGIN = 1e-9  # an eigenvalue this close to the unit circle is marginal
 
 
-def check(path: Path) -> Exit:
+def inspect(path: Path) -> Exit:
     """Print what a plant file says; the exit code tells whether any estimator can be designed."""
     plant = Plant.load(path)
-    refusals = {name: _refusal(plant, name) for name in METHODS}
+    refusals = {name: _refusal(plant, name) for name in NAMES}
     shown = console.output()
     shown.print(f"{plant.name or path.name}: {_sizes(plant)}")
     shown.print()
@@ -72,11 +71,11 @@ def _modes(plant: Plant) -> list[str]:
 
 def _refusal(plant: Plant, name: str) -> DesignError | None:
     try:
-        METHODS[name](plant)
+        design(plant, name, {})
     except DesignError as reason:
         return reason
     return None
 
 
 def _says(name: str, refusal: DesignError | None) -> str:
-    return f"Method {name}: " + ("can be designed." if refusal is None else f"cannot be designed: {refusal}.")
+    return f"Method {name}: " + ("can be used." if refusal is None else f"cannot be used: {refusal}.")

@@ -9,8 +9,9 @@ from pathlib import Path
 from securestate._results import check_folder, check_result_path
 from securestate.cli import console
 from securestate.cli.exits import Exit
+from securestate.cli.methods import design
 from securestate.errors import InputError
-from securestate.estimators import Estimator, KalmanFilter, Run, SparseFusion
+from securestate.estimators import Estimator, Run
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Plant
 from securestate.reporting import summarise, write_report
@@ -36,7 +37,7 @@ class Order:
     exit_zero: bool
 
 
-def estimate(order: Order) -> Exit:
+def run_order(order: Order) -> Exit:
     """Do the whole job; nothing is written before every sample is estimated."""
     _check(order)
     plant = Plant.load(order.plant)
@@ -47,7 +48,7 @@ def estimate(order: Order) -> Exit:
         allow_missing=order.allow_missing,
         hold_inputs=order.hold_inputs,
     )
-    estimator = _design(plant, order)
+    estimator = design(plant, order.method, order.choices)
     with console.progress(len(data.y), quiet=order.quiet) as advance:
         run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
     written = _write(run, data, order)
@@ -96,9 +97,7 @@ def _count(number: int, thing: str) -> str:
 def _check(order: Order) -> None:
     """Refuse before any computing what cannot end well."""
     if order.method == "kalman" and order.choices:
-        names = ", ".join(
-            f"--{name}".replace("_", "-").replace("--refit", "--no-refit") for name in order.choices
-        )
+        names = ", ".join(f"--{name}".replace("_", "-") for name in order.choices)
         raise InputError(names, "--method sparse", "--method kalman")
     if order.out is not None:
         check_result_path(order.out, "--out")
@@ -119,12 +118,6 @@ def _keep_inputs(order: Order) -> None:
     for name, path in (("--out", order.out), ("--report", order.report)):
         if path is not None and path.resolve() in taken:
             raise InputError(name, f"another file than {taken[path.resolve()]}", repr(str(path)))
-
-
-def _design(plant: Plant, order: Order) -> Estimator:
-    if order.method == "kalman":
-        return KalmanFilter(plant)
-    return SparseFusion(plant, **order.choices)  # type: ignore[arg-type]
 
 
 def _write(run: Run, data: Measurements, order: Order) -> list[Path]:

@@ -15,6 +15,6 @@ def check(plant: Annotated[Path, typer.Argument(help="Plant file, TOML.")]) -> E
 
     Ends with 4 if no estimator can be designed.
     """
-    from securestate.cli import inspection  # the scientific libraries take a second to import
+    from securestate.cli.inspection import inspect  # the scientific libraries take a second to import
 
-    return inspection.check(plant)
+    return inspect(plant)
