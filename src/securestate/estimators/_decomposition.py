@@ -46,14 +46,16 @@ class Split:
 def split_modes(A: Float, M: Float, cut: float) -> Split:
     """Block-diagonalise A into modes with |μ| ≥ cut and the rest, by an ordered real Schur form.
 
-    A stable mode that the filter cannot move (no noise reaches it, so M keeps it) has the same eigenvalue in
-    A and M; it needs no flat prior and the cut is raised above it, so that (20) is always solvable.
+    A stable mode that the filter cannot move (no noise reaches it or no sensor sees it, so M keeps it) has the
+    same eigenvalue in A and M. It needs no flat prior and stays with the rest, so that (20) is always solvable.
     """
     mu, poles = np.linalg.eigvals(A), np.linalg.eigvals(M)
-    shared = [abs(z) for z in mu if cut <= abs(z) < 1 and np.min(np.abs(poles - z)) < 1e-9]
-    if shared:
-        cut = (max(shared) + 1) / 2 if max(shared) < 1 - 1e-9 else 1.0
-    return _split(A, lambda re, im=0.0: bool(np.hypot(re, im) >= cut))
+    kept = np.array([z for z in mu if abs(z) < 1 and np.min(np.abs(poles - z)) < 1e-9])
+
+    def is_flat(re: float, im: float = 0.0) -> bool:
+        return bool(np.hypot(re, im) >= cut and np.min(np.abs(kept - (re + 1j * im)), initial=np.inf) > 1e-8)
+
+    return _split(A, is_flat)
 
 
 def no_split(A: Float) -> Split:
@@ -144,12 +146,14 @@ class Weights:
         Z: R^{-T/2} U, (m, r), U an orthonormal basis of the range of R^{-1/2} C.
         K: (r n, r n), symmetric, I − the reduced N.
         gram_root: L, (n, n).
+        spread: largest variance of a local error in units of its measurement noise.
     """
 
     precision: Float
     Z: Float
     K: Float
     gram_root: Float
+    spread: float
 
     def dense(self) -> Float:
         """N = W⁻¹ − W⁻¹ G (Gᵀ W⁻¹ G)⁻¹ Gᵀ W⁻¹, (m n, m n)."""
@@ -180,7 +184,8 @@ def weights(C: Float, R: Float, E: Float, unit_cov: Float, gramian: Float | None
         basis = np.linalg.qr(sl.solve_triangular(L, G, lower=True))[0]
         Y -= basis @ (basis.T @ Y)
     Z = sl.solve_triangular(R_root, U, lower=True, trans="T")
-    return Weights(sl.cho_solve((R_root, True), np.eye(len(R))), Z, np.eye(r * n) - Y.T @ Y, root)
+    precision = sl.cho_solve((R_root, True), np.eye(len(R)))
+    return Weights(precision, Z, np.eye(r * n) - Y.T @ Y, root, float(np.max(np.diag(W), initial=1.0)))
 
 
 def dense_covariance(C: Float, R: Float, unit_cov: Float, gramian: Float | None) -> Float:

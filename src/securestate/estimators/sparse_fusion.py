@@ -42,8 +42,14 @@ from securestate.plant import Plant
 
 Float = NDArray[np.float64]
 
-#: Modes at least this slow get a flat prior in the robust form.
-CUT = 0.999
+#: Modes at least this slow get a flat prior in the robust form; the later values are for plants that need more.
+CUTS = (0.999, 0.99, 0.95, 0.8, 0.5, 0.0)
+#: Largest variance of a local error, in units of its measurement noise, for which a cut is accepted at once.
+SPREAD_LIMIT = 1e10
+#: The same variance above which W has lost its smallest eigenvalues to rounding.
+SPREAD_REFUSED = 1e12
+#: Largest relative residual of F_i T = M F_i, F_i b = K_i and Σ F_i G_i = V_u.
+RESIDUAL_LIMIT = 1e-9
 #: ‖f_i‖ above which a sensor is suspected, in standard deviations of its own information.
 SUSPICION = 3.0
 #: Largest condition number of W that the paper form accepts.
@@ -79,6 +85,16 @@ class Decomposition:
     W: Float
     N: Float
     weights: atoms.Weights
+
+    @property
+    def residual(self) -> float:
+        """Largest relative violation of F_i T = M F_i, F_i b = K_i (13) and Σ F_i G_i = V_u (21)."""
+        M, K, T, b, F = self.steady.M, self.steady.gain, self.pair.T, self.pair.b, self.F
+        V_u = self.split.V[:, : self.split.flat]
+        moved = np.abs(F @ T - M @ F).max() / (np.abs(F).max() * max(1.0, float(np.linalg.norm(M, 2))))
+        driven = np.abs((F @ b).T - K).max() / np.abs(K).max()
+        identity = np.abs(np.einsum("iab,ibc->ac", F, self.G) - V_u).max(initial=0.0)
+        return float(max(moved, driven, identity))
 
 
 @final
@@ -177,10 +193,31 @@ def _check_settings(
 
 
 def _robust(plant: Plant) -> Decomposition:
-    """Orthonormal pair, flat prior for the slow modes only."""
+    """Orthonormal pair, flat prior for the slow modes only.
+
+    Where the slow modes cannot be separated from the others (a Jordan block that rounding scatters around the
+    cut) or the others have a huge stationary variance, more modes get a flat prior.
+    """
     steady = steady_state(plant)
     pair = takenaka_malmquist(steady.M)
-    return _decompose(plant, steady, pair, atoms.split_modes(plant.A, steady.M, CUT), gramian=None)
+    candidates = []
+    for cut in CUTS:
+        split = atoms.split_modes(plant.A, steady.M, cut)
+        try:
+            result = _decompose(plant, steady, pair, split, gramian=None)
+        except (np.linalg.LinAlgError, ValueError, DesignError):
+            continue
+        if result.weights.spread <= SPREAD_LIMIT and result.residual <= RESIDUAL_LIMIT:
+            return result
+        candidates.append(result)
+    sound = [result for result in candidates if result.residual <= RESIDUAL_LIMIT]
+    best = min(sound, key=lambda result: result.weights.spread, default=None)
+    if best is None or best.weights.spread > SPREAD_REFUSED:
+        raise DesignError(
+            "the plant is too ill-conditioned to be decomposed: rounding breaks Σ F_i G_i = I or W ≥ R",
+            "rescale the states, or remove states that hardly influence any sensor",
+        )
+    return best
 
 
 def _paper(plant: Plant) -> Decomposition:
