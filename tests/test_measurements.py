@@ -244,6 +244,7 @@ def test_inputs_are_read_beside_the_channels(csv_file: Write) -> None:
 def test_an_unknown_input_is_refused_unless_holding_is_asked_for(csv_file: Write) -> None:
     gap = csv_file("time,valve,flow 1,level\n0,7,1,2\n1,8,3,4\n")
     assert refused(gap, DRIVEN).argument == "data.csv, line 3"
+    assert "hold_inputs" in refused(gap, DRIVEN).expected
     held = read_measurements(gap, DRIVEN, hold_inputs=True)
     assert (held.u.tolist() if held.u is not None else None, held.held) == ([[7.0], [7.0], [8.0]], 1)
     cell = csv_file("valve,flow 1,level\n7,1,2\n,3,4\n8,5,6\n")

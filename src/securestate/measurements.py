@@ -190,7 +190,7 @@ def _inputs(
     _complete(table, names, given, hold)
     if not hold and np.any(np.diff(index) > 1):
         row = int(np.argmax(np.diff(index) > 1)) + 1
-        expected = "no gap in time, because inputs are unknown in it, or leave to hold the last ones"
+        expected = "no gap in time, because inputs are unknown in it (hold_inputs keeps the last ones)"
         raise table.error(
             expected, f"{index[row] - index[row - 1] - 1} samples without a row before it", row=row
         )
@@ -206,5 +206,5 @@ def _complete(table: Table, names: tuple[str, ...], given: Array, hold: bool) ->
     missing = np.isnan(given[:1] if hold else given)
     if np.any(missing):
         row, column = (int(i) for i in np.argwhere(missing)[0])
-        expected = "an input in the first row" if hold else "an input, or leave to hold the last one"
+        expected = "an input in the first row" if hold else "an input (hold_inputs keeps the last one)"
         raise table.error(expected, "an empty cell", row=row, column=names[column])

@@ -117,6 +117,21 @@ def test_another_time_column_can_be_named(command: Command, folder: Path) -> Non
     assert "not used" not in command(*HONEST, "--time-column", "stamp").out
 
 
+def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
+    command: Command, folder: Path
+) -> None:
+    sensors = [ss.Sensor(name, C=[1], R=0.1) for name in ("flow 1", "flow 2", "flow 3")]
+    ss.Plant([[0.9]], [[0.1]], sensors, B=[[1]], input_names=["valve"], dt=0.5).save(folder / "plant.toml")
+    frame = pd.read_csv(folder / "honest.csv").assign(valve=1.0)
+    frame["flow 1"] = frame["flow 2"]
+    frame.drop(index=[7]).to_csv(folder / "honest.csv", index=False)
+    refusal = command(*HONEST)
+    assert (refusal.code, "hold_inputs" in refusal.err) == (2, True)
+    end = command(*HONEST, "--hold-inputs", "--exit-zero")
+    assert end.code == 0
+    assert "1 sample with inputs held at their last known value." in end.out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

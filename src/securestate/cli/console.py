@@ -71,13 +71,15 @@ def show_summary(run: Run, summary: Summary, remarks: Sequence[str], written: It
 
 
 def _sensors(summary: Summary, clock: Clock) -> Table:
-    grid = table("sensor", "verdict", "suspected", "missing", "first alarm", "estimated injection")
+    complete = all(sensor.missing == 0 for sensor in summary.sensors)
+    missing = () if complete else ("missing",)
+    grid = table("sensor", "verdict", "suspected", *missing, "first alarm", "estimated injection")
     for sensor in sorted(summary.sensors, key=lambda s: (not s.lies, -s.suspected)):
         grid.add_row(
             sensor.name + (" (protected)" if sensor.protected else ""),
             _verdict(sensor),
             _share(sensor.suspected),
-            _share(sensor.missing),
+            *(() if complete else (_share(sensor.missing),)),
             clock.text(sensor.first_alarm.index) if sensor.first_alarm else "-",
             "\n".join(_injections(sensor)) or "-",
             style="bold red" if sensor.lies else None,

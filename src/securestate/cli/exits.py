@@ -72,7 +72,8 @@ def _unusable(error: Exception) -> Exit:
 def _usage_or_bug(error: Exception) -> Exit:
     told = getattr(error, "format_message", None)  # typer's own errors; it does not export their base class
     if callable(told):
-        complain(f"{told()} (try --help)")
+        if problem := told():  # empty where help was shown instead
+            complain(f"{problem} (try --help)")
         return Exit.INPUT
     traceback.print_exc()
     complain("this is a bug of securestate; please report it with the lines above")

@@ -23,7 +23,5 @@ def design(plant: Plant, name: str, choices: Mapping[str, object]) -> Estimator:
     estimator = KalmanFilter(plant)
     if estimator.steady is None:
         reason = f"the Kalman filter has no steady state to start from: {estimator.no_steady_state}"
-        raise DesignError(
-            reason, "or run it from Python with a prior, KalmanFilter(plant).run(y, u, Belief(x, P))"
-        )
+        raise DesignError(reason, "or run it from Python with a prior: KalmanFilter(plant).run(y, u, prior)")
     return estimator

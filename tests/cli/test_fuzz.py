@@ -1,0 +1,57 @@
+"""Damaged plants and data end in a documented exit code, and never in half a result."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from securestate.cli import execute
+from tests.cli.helpers import PLANT, measurements
+
+SPLICES = [
+    b"",
+    b",",
+    b"\n",
+    b'"',
+    b";",
+    b"nan",
+    b"inf",
+    b"-1",
+    b"1e308",
+    b"[",
+    b"]",
+    b"=",
+    b"\0",
+    b"\xff",
+    b"0.0",
+]
+
+
+@pytest.mark.parametrize("damaged", ["plant.toml", "data.csv"])
+@pytest.mark.parametrize("method", ["kalman", "sparse"])
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_file_ends_in_a_documented_code_with_a_whole_result_or_none(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], damaged: str, method: str, data: st.DataObject
+) -> None:
+    PLANT.save(tmp_path / "plant.toml")
+    measurements(30).to_csv(tmp_path / "data.csv", index=False)
+    content = bytearray((tmp_path / damaged).read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(content)))
+        content[at : at + data.draw(st.integers(0, 8))] = data.draw(st.sampled_from(SPLICES))
+    (tmp_path / damaged).write_bytes(content)
+    out = tmp_path / "states.csv"
+    out.unlink(missing_ok=True)
+    files = ("--plant", str(tmp_path / "plant.toml"), "--data", str(tmp_path / "data.csv"), "--out", str(out))
+    code = execute(["estimate", *files, "--method", method, "--quiet"])
+    err = capfd.readouterr().err
+    assert code in (0, 2, 3, 4), err
+    assert out.exists() == (code in (0, 3))
+    assert {path.name for path in tmp_path.iterdir()} - {"states.csv"} == {"plant.toml", "data.csv"}
+    if out.exists():
+        assert len(pd.read_csv(out)) >= 1
+    else:
+        assert err.startswith("error: ")
