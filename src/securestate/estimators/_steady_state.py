@@ -108,7 +108,7 @@ def _solve_schur(plant: Plant) -> Array | None:
 def _solve_doubling(plant: Plant, steps: int = 60) -> Array | None:
     """P by structure-preserving doubling: step k holds the Riccati recursion after 2^k samples."""
     A, P = plant.A.T, plant.Q
-    G = plant.C.T @ linalg.solve(plant.R, plant.C, assume_a="pos")
+    G = plant.C.T @ linalg.cho_solve(linalg.cho_factor(plant.R), plant.C)
     for _ in range(steps):
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
