@@ -44,11 +44,7 @@ pub fn units(
 /// The arrays of a record by name, shape (runs, steps, …).
 pub fn record(py: Python<'_>, record: Record) -> PyResult<Bound<'_, PyDict>> {
     let (runs, steps) = (record.runs, record.steps);
-    let (n, m, sensors) = (
-        record.dims.states,
-        record.dims.channels,
-        record.dims.sensors,
-    );
+    let (n, m, sensors) = (record.dims.states, record.dims.channels, record.dims.sensors);
     let names = record.diagnostics.len().checked_div(runs * steps);
     let arrays = PyDict::new(py);
     let has_covariance = !record.covariance.is_empty();
@@ -59,31 +55,16 @@ pub fn record(py: Python<'_>, record: Record) -> PyResult<Bound<'_, PyDict>> {
     }
     put(&arrays, "trust", record.trust, &[runs, steps, sensors])?;
     put(&arrays, "attack", record.attack, &[runs, steps, m])?;
-    put(
-        &arrays,
-        "suspected",
-        record.suspected,
-        &[runs, steps, sensors],
-    )?;
+    put(&arrays, "suspected", record.suspected, &[runs, steps, sensors])?;
     put(&arrays, "innovation", record.innovation, &[runs, steps, m])?;
-    put(
-        &arrays,
-        "innovation_std",
-        record.innovation_std,
-        &[runs, steps, m],
-    )?;
+    put(&arrays, "innovation_std", record.innovation_std, &[runs, steps, m])?;
     let shape = [runs, steps, names.unwrap_or(0)];
     put(&arrays, "diagnostics", record.diagnostics, &shape)?;
     put(&arrays, "status", record.status, &[runs, steps])?;
     Ok(arrays)
 }
 
-fn put<T: Element>(
-    arrays: &Bound<'_, PyDict>,
-    name: &str,
-    data: Vec<T>,
-    shape: &[usize],
-) -> PyResult<()> {
+fn put<T: Element>(arrays: &Bound<'_, PyDict>, name: &str, data: Vec<T>, shape: &[usize]) -> PyResult<()> {
     let flat = PyArray1::from_vec(arrays.py(), data);
     arrays.set_item(name, flat.reshape(shape)?)
 }

@@ -14,11 +14,7 @@ pub fn to_python(error: Error) -> PyErr {
 fn exception(py: Python<'_>, error: Error) -> PyResult<Bound<'_, PyAny>> {
     let errors = py.import("securestate.errors")?;
     match error {
-        Error::Input {
-            argument,
-            expected,
-            received,
-        } => {
+        Error::Input { argument, expected, received } => {
             let class = match argument {
                 "y" | "u" => "MeasurementError",
                 _ => "InputError",

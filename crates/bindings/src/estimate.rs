@@ -77,8 +77,7 @@ impl Estimate {
     #[getter(P)]
     fn covariance<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f64>>> {
         let n = self.dims.states;
-        self.part(py, self.numbers.len() - n * n, n * n)
-            .reshape([n, n])
+        self.part(py, self.numbers.len() - n * n, n * n).reshape([n, n])
     }
 
     /// Trust per sensor in [0, 1], NaN where it sent nothing, shape (N,).

@@ -39,35 +39,24 @@ impl Filter {
         let (filter, runs) = match (means, blob) {
             (Some(means), None) => {
                 let means = arrays::slice("prior.x", &means)?;
-                let covariance = covariance
-                    .as_ref()
-                    .map(|p| arrays::slice("prior.P", p))
-                    .transpose()?;
+                let covariance = covariance.as_ref().map(|p| arrays::slice("prior.P", p)).transpose()?;
                 (inner.start(means, covariance), means.len() / n)
             }
             (None, Some(blob)) => (inner.resume(blob), 1),
-            _ => (
-                Err(Error::input("prior", "either means or a blob", "both or neither")),
-                0,
-            ),
+            _ => (Err(Error::input("prior", "either means or a blob", "both or neither")), 0),
         };
-        Ok(Self {
-            kernel: Arc::clone(inner),
-            inner: filter.map_err(to_python)?,
-            runs,
-        })
+        Ok(Self { kernel: Arc::clone(inner), inner: filter.map_err(to_python)?, runs })
     }
 
     /// Advance by one measurement y (m,), NaN = missing, and input u (p,).
     #[pyo3(signature = (y, u=None))]
     fn step(&mut self, y: &Bound<'_, PyAny>, u: Option<&Bound<'_, PyAny>>) -> PyResult<Estimate> {
-        let mut estimate =
-            Estimate::new(self.kernel.dims(), self.kernel.diagnostics());
+        let mut estimate = Estimate::new(self.kernel.dims(), self.kernel.diagnostics());
         with_slice("y", y, |y| match u {
             None => self.inner.step(y, &[], &mut estimate.output()).map_err(to_python),
-            Some(u) => with_slice("u", u, |u| {
-                self.inner.step(y, u, &mut estimate.output()).map_err(to_python)
-            }),
+            Some(u) => {
+                with_slice("u", u, |u| self.inner.step(y, u, &mut estimate.output()).map_err(to_python))
+            }
         })?;
         Ok(estimate)
     }
@@ -81,17 +70,12 @@ impl Filter {
         steps: usize,
         covariance: bool,
     ) -> PyResult<Bound<'py, PyDict>> {
-        let block = Block {
-            y: arrays::slice("y", &y)?,
-            u: arrays::slice("u", &u)?,
-            steps,
-        };
+        let block = Block { y: arrays::slice("y", &y)?, u: arrays::slice("u", &u)?, steps };
         let (dims, names) = (self.kernel.dims(), self.kernel.diagnostics().len());
         let mut record = Record::new(dims, names, self.runs, steps, covariance);
         for from in (0..steps).step_by(BLOCK) {
             let to = steps.min(from + BLOCK);
-            py.detach(|| self.inner.advance(block, from, to, &mut record))
-                .map_err(to_python)?;
+            py.detach(|| self.inner.advance(block, from, to, &mut record)).map_err(to_python)?;
             py.check_signals()?;
         }
         arrays::record(py, record)
@@ -120,9 +104,7 @@ fn with_slice<R>(
         Err(_) => Err(to_python(Error::input(
             name,
             "one-dimensional numbers",
-            value
-                .repr()
-                .map_or_else(|_| "something else".into(), |text| text.to_string()),
+            value.repr().map_or_else(|_| "something else".into(), |text| text.to_string()),
         ))),
     }
 }

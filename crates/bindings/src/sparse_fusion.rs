@@ -69,17 +69,12 @@ pub fn sparse_fusion(design: &Bound<'_, PyDict>) -> PyResult<Kernel> {
 fn projection(design: &Bound<'_, PyDict>, dims: Dims) -> PyResult<Projection> {
     let sensors: Vec<usize> = item(design, "sensors")?.extract()?;
     let locals: Vec<usize> = item(design, "locals")?.extract()?;
-    let inverse = Blocks::new(
-        sensors.clone(),
-        locals.clone(),
-        floats(design, "basis_inverse")?,
-    )
-    .map_err(to_python)?;
+    let inverse =
+        Blocks::new(sensors.clone(), locals.clone(), floats(design, "basis_inverse")?).map_err(to_python)?;
     if design.contains("projection")? {
         return Projection::dense(floats(design, "projection")?, inverse).map_err(to_python);
     }
-    let basis = Blocks::new(sensors, locals, floats(design, "basis_transposed")?)
-        .map_err(to_python)?;
+    let basis = Blocks::new(sensors, locals, floats(design, "basis_transposed")?).map_err(to_python)?;
     Projection::structured(
         dims.states,
         floats(design, "precision")?,
@@ -92,9 +87,7 @@ fn projection(design: &Bound<'_, PyDict>, dims: Dims) -> PyResult<Projection> {
 }
 
 fn item<'py>(design: &Bound<'py, PyDict>, name: &'static str) -> PyResult<Bound<'py, PyAny>> {
-    design
-        .get_item(name)?
-        .ok_or_else(|| to_python(Error::input(name, "a matrix of the design", "nothing")))
+    design.get_item(name)?.ok_or_else(|| to_python(Error::input(name, "a matrix of the design", "nothing")))
 }
 
 fn floats(design: &Bound<'_, PyDict>, name: &'static str) -> PyResult<Vec<f64>> {
@@ -151,13 +144,8 @@ impl PenaltySolver {
     ) -> PyResult<(Bound<'py, PyArray1<f64>>, usize, f64)> {
         let linear = arrays::slice("linear", &linear)?;
         Error::check_len("linear", self.g.len(), linear.len()).map_err(to_python)?;
-        let problem = Problem {
-            hessian: &self.hessian,
-            linear,
-            starts: &self.starts,
-            gamma: &self.gamma,
-            energy,
-        };
+        let problem =
+            Problem { hessian: &self.hessian, linear, starts: &self.starts, gamma: &self.gamma, energy };
         if problem.zero_is_optimal() {
             self.g.fill(0.0);
             return Ok((self.g.clone().into_pyarray(py), 0, 0.0));

@@ -51,13 +51,7 @@ pub trait Filter: Send + Sync {
     ///
     /// # Errors
     /// As [`Filter::step`].
-    fn advance(
-        &mut self,
-        block: Block<'_>,
-        from: usize,
-        to: usize,
-        record: &mut Record,
-    ) -> Result<()>;
+    fn advance(&mut self, block: Block<'_>, from: usize, to: usize, record: &mut Record) -> Result<()>;
     /// The state of a single filter as bytes.
     ///
     /// # Errors
@@ -112,11 +106,7 @@ impl<E: Estimator + 'static> Design<E> {
 
     fn run(&self, state: E::State) -> Run<E::State> {
         let dims = self.estimator.dims();
-        Run {
-            state,
-            y: vec![0.0; dims.channels],
-            u: vec![0.0; dims.inputs],
-        }
+        Run { state, y: vec![0.0; dims.channels], u: vec![0.0; dims.inputs] }
     }
 
     fn step(
@@ -131,8 +121,7 @@ impl<E: Estimator + 'static> Design<E> {
         self.units.normalise_input(u, &mut run.u)?;
         match plan {
             Some((plan, k)) => {
-                self.estimator
-                    .step_planned(plan, k, &mut run.state, &run.y, &run.u, out)?;
+                self.estimator.step_planned(plan, k, &mut run.state, &run.y, &run.u, out)?;
             }
             None => self.estimator.step(&mut run.state, &run.y, &run.u, out)?,
         }
@@ -158,10 +147,7 @@ impl<E: Estimator + 'static> Kernel for Handle<E> {
             .chunks(n)
             .map(|mean| Ok(self.0.run(self.0.estimator.start(mean, covariance)?)))
             .collect::<Result<Vec<_>>>()?;
-        Ok(Box::new(Bank {
-            design: Arc::clone(&self.0),
-            runs,
-        }))
+        Ok(Box::new(Bank { design: Arc::clone(&self.0), runs }))
     }
 
     fn resume(&self, blob: &[u8]) -> Result<Box<dyn Filter>> {
@@ -176,10 +162,7 @@ impl<E: Estimator + 'static> Kernel for Handle<E> {
         }
         let run = self.0.run(self.0.estimator.load(&mut from)?);
         from.finish()?;
-        Ok(Box::new(Bank {
-            design: Arc::clone(&self.0),
-            runs: vec![run],
-        }))
+        Ok(Box::new(Bank { design: Arc::clone(&self.0), runs: vec![run] }))
     }
 }
 
@@ -190,21 +173,11 @@ impl<E: Estimator + 'static> Filter for Bank<E> {
         Error::check_len("u", dims.inputs, u.len())?;
         match self.runs.as_mut_slice() {
             [run] => self.design.step(run, y, u, None, out),
-            runs => Err(Error::input(
-                "filter",
-                "a single run",
-                format!("{} runs", runs.len()),
-            )),
+            runs => Err(Error::input("filter", "a single run", format!("{} runs", runs.len()))),
         }
     }
 
-    fn advance(
-        &mut self,
-        block: Block<'_>,
-        from: usize,
-        to: usize,
-        record: &mut Record,
-    ) -> Result<()> {
+    fn advance(&mut self, block: Block<'_>, from: usize, to: usize, record: &mut Record) -> Result<()> {
         let dims = self.design.estimator.dims();
         let (runs, steps) = (self.runs.len(), block.steps);
         Error::check_len("y", runs * steps * dims.channels, block.y.len())?;
@@ -215,16 +188,11 @@ impl<E: Estimator + 'static> Filter for Bank<E> {
         let plan = self.plan(&block, from, to);
         let (design, plan) = (&self.design, plan.as_ref());
         let rows = record.split();
-        self.runs
-            .par_iter_mut()
-            .zip(rows)
-            .enumerate()
-            .try_for_each(|(r, (run, row))| {
-                let y = chunk(block.y, r, steps * dims.channels);
-                let u = chunk(block.u, if shared { 0 } else { r }, steps * dims.inputs);
-                advance_run(design, run, (y, u), (from, to), plan, row)
-                    .map_err(|error| place(error, r, runs))
-            })
+        self.runs.par_iter_mut().zip(rows).enumerate().try_for_each(|(r, (run, row))| {
+            let y = chunk(block.y, r, steps * dims.channels);
+            let u = chunk(block.u, if shared { 0 } else { r }, steps * dims.inputs);
+            advance_run(design, run, (y, u), (from, to), plan, row).map_err(|error| place(error, r, runs))
+        })
     }
 
     fn save(&self) -> Result<Vec<u8>> {
@@ -268,13 +236,7 @@ fn advance_run<E: Estimator + 'static>(
     for k in from..to {
         let (yk, uk) = (chunk(y, k, dims.channels), chunk(u, k, dims.inputs));
         design
-            .step(
-                run,
-                yk,
-                uk,
-                plan.map(|plan| (plan, k - from)),
-                &mut row.at(k),
-            )
+            .step(run, yk, uk, plan.map(|plan| (plan, k - from)), &mut row.at(k))
             .map_err(|error| at_sample(error, k))?;
     }
     if let Some(plan) = plan {
@@ -289,22 +251,18 @@ fn chunk(data: &[f64], index: usize, width: usize) -> &[f64] {
 
 fn at_sample(error: Error, k: usize) -> Error {
     match error {
-        Error::Input {
-            argument,
-            expected,
-            received,
-        } => Error::input(argument, expected, format!("{received} at sample {k}")),
+        Error::Input { argument, expected, received } => {
+            Error::input(argument, expected, format!("{received} at sample {k}"))
+        }
         other => other,
     }
 }
 
 fn place(error: Error, r: usize, runs: usize) -> Error {
     match error {
-        Error::Input {
-            argument,
-            expected,
-            received,
-        } if runs > 1 => Error::input(argument, expected, format!("{received} of run {r}")),
+        Error::Input { argument, expected, received } if runs > 1 => {
+            Error::input(argument, expected, format!("{received} of run {r}"))
+        }
         other => other,
     }
 }

@@ -29,18 +29,14 @@ impl Fingerprint {
     #[must_use]
     pub fn floats(self, values: &[f64]) -> Self {
         let start = self.bytes(&(values.len() as u64).to_le_bytes());
-        values
-            .iter()
-            .fold(start, |hash, v| hash.bytes(&v.to_bits().to_le_bytes()))
+        values.iter().fold(start, |hash, v| hash.bytes(&v.to_bits().to_le_bytes()))
     }
 
     /// Mix in whole numbers, their count included.
     #[must_use]
     pub fn sizes(self, values: &[usize]) -> Self {
         let start = self.bytes(&(values.len() as u64).to_le_bytes());
-        values
-            .iter()
-            .fold(start, |hash, &v| hash.bytes(&(v as u64).to_le_bytes()))
+        values.iter().fold(start, |hash, &v| hash.bytes(&(v as u64).to_le_bytes()))
     }
 
     /// The hash.
@@ -106,8 +102,7 @@ impl<'a> Decoder<'a> {
     /// # Errors
     /// [`Error::Resume`] at the end of the bytes.
     pub fn integer(&mut self) -> Result<u64> {
-        take_u64(&mut self.bytes)
-            .ok_or_else(|| Error::Resume("the saved filter state ends too early".into()))
+        take_u64(&mut self.bytes).ok_or_else(|| Error::Resume("the saved filter state ends too early".into()))
     }
 
     /// Read an array into `target`, whose length must agree.
@@ -136,10 +131,7 @@ impl<'a> Decoder<'a> {
         if self.bytes.is_empty() {
             return Ok(());
         }
-        Err(Error::Resume(format!(
-            "{} bytes too many in the saved filter state",
-            self.bytes.len()
-        )))
+        Err(Error::Resume(format!("{} bytes too many in the saved filter state", self.bytes.len())))
     }
 }
 

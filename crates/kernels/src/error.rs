@@ -22,16 +22,8 @@ pub enum Error {
 
 impl Error {
     /// Shorthand for [`Error::Input`].
-    pub fn input(
-        argument: &'static str,
-        expected: impl Into<String>,
-        received: impl Into<String>,
-    ) -> Self {
-        Self::Input {
-            argument,
-            expected: expected.into(),
-            received: received.into(),
-        }
+    pub fn input(argument: &'static str, expected: impl Into<String>, received: impl Into<String>) -> Self {
+        Self::Input { argument, expected: expected.into(), received: received.into() }
     }
 
     /// `Ok` if `received` equals `expected`, otherwise an error about the length of `argument`.
@@ -39,11 +31,7 @@ impl Error {
         if expected == received {
             return Ok(());
         }
-        Err(Self::input(
-            argument,
-            format!("{expected} numbers"),
-            format!("{received}"),
-        ))
+        Err(Self::input(argument, format!("{expected} numbers"), format!("{received}")))
     }
 }
 

@@ -1,7 +1,7 @@
 //! The one trait every algorithm implements, and what it reads and writes per sample.
 
-use crate::codec::{Decoder, Encoder};
 use crate::Result;
+use crate::codec::{Decoder, Encoder};
 
 /// Sizes that the drivers need.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -78,13 +78,7 @@ pub trait Estimator: Send + Sync {
     ///
     /// # Errors
     /// Only for a caller's mistake, such as a step beyond the horizon of a time-varying plant.
-    fn step(
-        &self,
-        state: &mut Self::State,
-        y: &[f64],
-        u: &[f64],
-        out: &mut Output<'_>,
-    ) -> Result<()>;
+    fn step(&self, state: &mut Self::State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()>;
 
     /// Work shared by all runs over the next `steps` samples, or None if there is nothing to share.
     /// `y` is (runs, steps, m) in file units: only which entries are missing may be used.

@@ -70,11 +70,8 @@ impl Workspace {
         for &a in &self.active {
             for i in problem.range(a) {
                 let row = problem.row(i);
-                let product: f64 = self
-                    .active
-                    .iter()
-                    .map(|&c| dot(&row[problem.range(c)], &g[problem.range(c)]))
-                    .sum();
+                let product: f64 =
+                    self.active.iter().map(|&c| dot(&row[problem.range(c)], &g[problem.range(c)])).sum();
                 self.nu[i] = problem.linear[i] - product;
             }
         }
@@ -240,10 +237,7 @@ fn stationary(problem: &Problem<'_>, g: &[f64], ws: &Workspace) -> bool {
         let range = problem.range(j);
         let gamma = problem.gamma[j];
         let scale = if gamma > 0.0 { gamma / norm(&g[range.clone()]) } else { 0.0 };
-        let square: f64 = range
-            .clone()
-            .map(|i| (ws.nu[i] - scale * g[i]).powi(2))
-            .sum();
+        let square: f64 = range.clone().map(|i| (ws.nu[i] - scale * g[i]).powi(2)).sum();
         let reference = if gamma > 0.0 { gamma } else { norm(&problem.linear[range]).max(1.0) };
         square.sqrt() <= STATIONARY * reference
     })
@@ -282,9 +276,7 @@ fn assemble(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace, size: usize) {
 /// Step along `step` with backtracking on the cost; `image` holds the negative gradient on entry.
 fn search(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, size: usize) -> bool {
     let slope = dot(&ws.image[..size], &ws.step[..size]);
-    let descent: f64 = positions(problem, &ws.active)
-        .map(|(i, at)| ws.nu[i] * ws.step[at])
-        .sum();
+    let descent: f64 = positions(problem, &ws.active).map(|(i, at)| ws.nu[i] * ws.step[at]).sum();
     for (i, at) in positions(problem, &ws.active) {
         let mut product = 0.0;
         let mut column = 0;
@@ -332,13 +324,6 @@ fn penalty_change(problem: &Problem<'_>, g: &[f64], ws: &Workspace, t: f64) -> f
 }
 
 /// (element, position in the packed vectors) for every active element.
-fn positions<'a>(
-    problem: &'a Problem<'_>,
-    active: &'a [usize],
-) -> impl Iterator<Item = (usize, usize)> + 'a {
-    active
-        .iter()
-        .flat_map(|&j| problem.range(j))
-        .enumerate()
-        .map(|(at, i)| (i, at))
+fn positions<'a>(problem: &'a Problem<'_>, active: &'a [usize]) -> impl Iterator<Item = (usize, usize)> + 'a {
+    active.iter().flat_map(|&j| problem.range(j)).enumerate().map(|(at, i)| (i, at))
 }

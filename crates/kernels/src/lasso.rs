@@ -102,10 +102,7 @@ pub fn solve(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) -> Outcom
         match entering {
             Some((j, sign)) => ws.add(j, sign),
             None => {
-                return Outcome {
-                    iterations,
-                    gap: problem.relative_gap(g, &ws.nu),
-                };
+                return Outcome { iterations, gap: problem.relative_gap(g, &ws.nu) };
             }
         }
         if iterations >= cap {

@@ -33,6 +33,16 @@ pub fn gemv(a: &[f64], x: &[f64], y: &mut [f64]) {
     }
 }
 
+/// y += A x, A row-major (rows, columns) with `columns = x.len()`.
+pub fn add_gemv(a: &[f64], x: &[f64], y: &mut [f64]) {
+    if x.is_empty() {
+        return;
+    }
+    for (row, target) in a.chunks_exact(x.len()).zip(y) {
+        *target += dot(row, x);
+    }
+}
+
 /// y += Aᵀ x, A row-major (rows, columns) with `columns = y.len()`: one pass over the rows of A.
 pub fn add_gemv_transposed(a: &[f64], x: &[f64], y: &mut [f64]) {
     if y.is_empty() {
@@ -103,14 +113,12 @@ mod tests {
     use super::*;
 
     fn spd(k: usize) -> Vec<f64> {
-        let g: Vec<f64> = (0..k * k)
-            .map(|i| f64::from((i * 37 % 17) as u32) / 7.0 - 1.0)
-            .collect();
+        let g: Vec<f64> = (0..k * k).map(|i| f64::from((i * 37 % 17) as u32) / 7.0 - 1.0).collect();
         let mut a = vec![0.0; k * k];
         for i in 0..k {
             for j in 0..k {
-                a[i * k + j] = dot(&g[i * k..(i + 1) * k], &g[j * k..(j + 1) * k])
-                    + if i == j { 1.0 } else { 0.0 };
+                a[i * k + j] =
+                    dot(&g[i * k..(i + 1) * k], &g[j * k..(j + 1) * k]) + if i == j { 1.0 } else { 0.0 };
             }
         }
         a

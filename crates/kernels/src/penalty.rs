@@ -21,7 +21,7 @@ pub struct Problem<'a> {
 }
 
 /// How a solve ended.
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct Outcome {
     /// Linear systems solved and sweeps made.
     pub iterations: usize,

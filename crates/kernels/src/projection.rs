@@ -16,13 +16,7 @@ enum Kind {
     /// −Sᵀ N, (d, m n).
     Dense(Vec<f64>),
     /// N = diag(1/R) ⊗ I − (Z ⊗ I) K (Z ⊗ I)ᵀ with Z (m, r), K (r n, r n), then −Sᵀ per sensor.
-    Structured {
-        n: usize,
-        precision: Vec<f64>,
-        mix: Vec<f64>,
-        core: Vec<f64>,
-        basis_transposed: Blocks,
-    },
+    Structured { n: usize, precision: Vec<f64>, mix: Vec<f64>, core: Vec<f64>, basis_transposed: Blocks },
 }
 
 /// Block-diagonal matrix with one block per sensor.
@@ -42,11 +36,7 @@ impl Blocks {
     /// If `data` does not hold what rows and columns promise.
     pub fn new(rows: Vec<usize>, columns: Vec<usize>, data: Vec<f64>) -> Result<Self> {
         Error::check_len("blocks", rows.len(), columns.len())?;
-        let total = rows
-            .windows(2)
-            .zip(columns.windows(2))
-            .map(|(r, c)| (r[1] - r[0]) * (c[1] - c[0]))
-            .sum();
+        let total = rows.windows(2).zip(columns.windows(2)).map(|(r, c)| (r[1] - r[0]) * (c[1] - c[0])).sum();
         Error::check_len("blocks", total, data.len())?;
         Ok(Self { rows, columns, data })
     }
@@ -77,10 +67,7 @@ impl Projection {
     /// If the sizes do not fit.
     pub fn dense(matrix: Vec<f64>, inverse: Blocks) -> Result<Self> {
         Error::check_len("projection", inverse.rows() * inverse.columns(), matrix.len())?;
-        Ok(Self {
-            kind: Kind::Dense(matrix),
-            inverse,
-        })
+        Ok(Self { kind: Kind::Dense(matrix), inverse })
     }
 
     /// From the factors of N: 1/R (m,), Z (m, r), K (r n, r n) and the blocks Sᵀ.
@@ -100,16 +87,7 @@ impl Projection {
         Error::check_len("mix", m * r, mix.len())?;
         Error::check_len("core", r * n * r * n, core.len())?;
         Error::check_len("basis", m * n, basis_transposed.columns())?;
-        Ok(Self {
-            kind: Kind::Structured {
-                n,
-                precision,
-                mix,
-                core,
-                basis_transposed,
-            },
-            inverse,
-        })
+        Ok(Self { kind: Kind::Structured { n, precision, mix, core, basis_transposed }, inverse })
     }
 
     /// Scratch space that [`Projection::apply`] and [`Projection::energy`] need.
@@ -129,13 +107,7 @@ impl Projection {
     pub fn apply(&self, zeta: &[f64], nu: &mut [f64], scratch: &mut [f64]) {
         match &self.kind {
             Kind::Dense(matrix) => gemv(matrix, zeta, nu),
-            Kind::Structured {
-                n,
-                precision,
-                mix,
-                core,
-                basis_transposed,
-            } => {
+            Kind::Structured { n, precision, mix, core, basis_transposed } => {
                 let (n, m) = (*n, precision.len());
                 let r = mix.len() / m;
                 let (mixed, rest) = scratch.split_at_mut(r * n);

@@ -36,13 +36,7 @@ pub struct Record {
 impl Record {
     /// Room for the results.
     #[must_use]
-    pub fn new(
-        dims: Dims,
-        diagnostics: usize,
-        runs: usize,
-        steps: usize,
-        covariance: bool,
-    ) -> Self {
+    pub fn new(dims: Dims, diagnostics: usize, runs: usize, steps: usize, covariance: bool) -> Self {
         let samples = runs * steps;
         let (n, m, sensors) = (dims.states, dims.channels, dims.sensors);
         Self {
@@ -116,11 +110,7 @@ impl RunRecord<'_> {
         Output {
             x: row(self.x, k, steps),
             x_std: row(self.x_std, k, steps),
-            covariance: if self.covariance.is_empty() {
-                None
-            } else {
-                Some(row(self.covariance, k, steps))
-            },
+            covariance: if self.covariance.is_empty() { None } else { Some(row(self.covariance, k, steps)) },
             trust: row(self.trust, k, steps),
             attack: row(self.attack, k, steps),
             suspected: row(self.suspected, k, steps),

@@ -43,11 +43,7 @@ impl Units {
     pub fn normalise_input(&self, file: &[f64], u: &mut [f64]) -> Result<()> {
         for (i, value) in u.iter_mut().enumerate() {
             if !file[i].is_finite() {
-                return Err(Error::input(
-                    "u",
-                    "finite numbers",
-                    format!("{} in input {i}", file[i]),
-                ));
+                return Err(Error::input("u", "finite numbers", format!("{} in input {i}", file[i])));
             }
             *value = (file[i] - self.input_offset[i]) / self.input_scale[i];
         }

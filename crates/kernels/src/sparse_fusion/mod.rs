@@ -1,0 +1,384 @@
+//! Sparse fusion: one local filter per channel, fused by a (group) LASSO.
+//!
+//! References: Liu, Mo, Garone 2020, equations (12), (19), (31). The design (all matrices) is made in Python;
+//! `securestate/estimators/sparse_fusion.py` says where and why it differs from the paper.
+
+mod design;
+mod uncertainty;
+
+pub use design::Matrices;
+
+use std::ops::Range;
+
+use crate::codec::{Decoder, Encoder, Fingerprint};
+use crate::estimator::{Dims, Estimator, Output, Status};
+use crate::linalg::{add_gemv, add_gemv_transposed, axpy, dot, gemv};
+use crate::penalty::{Outcome, Problem, SOLVED};
+use crate::projection::Projection;
+use crate::{Error, Result, group_lasso, lasso};
+
+/// The estimator.
+#[derive(Debug, Clone)]
+pub struct SparseFusion {
+    m: Matrices,
+    projection: Projection,
+    element_wise: bool,
+    flat: usize,
+}
+
+/// Local filters, predictions and warm start.
+#[derive(Debug, Clone)]
+pub struct State {
+    /// ζ before the correction with y, (m, n).
+    zeta: Vec<f64>,
+    /// Part of the non-flat modes that the known input and the prior explain, (n_s,).
+    x_s: Vec<f64>,
+    /// A x + B u, (n,).
+    predicted: Vec<f64>,
+    /// Solution of this and of the last step, (d,).
+    g: Vec<f64>,
+    g_before: Vec<f64>,
+    /// P while it is not steady.
+    p: Vec<f64>,
+    transient: bool,
+    scratch: Scratch,
+}
+
+#[derive(Debug, Clone)]
+struct Scratch {
+    nu: Vec<f64>,
+    gamma: Vec<f64>,
+    zeta: Vec<f64>,
+    x_s: Vec<f64>,
+    projection: Vec<f64>,
+    square: Vec<f64>,
+    square_2: Vec<f64>,
+    factor: Vec<f64>,
+    half: Vec<f64>,
+    support: Vec<usize>,
+    missing: Vec<bool>,
+    solver: Solver,
+}
+
+#[derive(Debug, Clone)]
+enum Solver {
+    Elements(lasso::Workspace),
+    Groups(group_lasso::Workspace),
+}
+
+impl SparseFusion {
+    /// Check the sizes and make the estimator.
+    ///
+    /// # Errors
+    /// The name of the first matrix whose size does not fit.
+    pub fn new(m: Matrices, projection: Projection) -> Result<Self> {
+        m.check()?;
+        Ok(Self {
+            flat: m.dims.states - m.others(),
+            element_wise: m.groups.windows(2).all(|pair| pair[1] - pair[0] == 1),
+            m,
+            projection,
+        })
+    }
+
+    /// d, elements of g.
+    fn elements(&self) -> usize {
+        self.m.fusion_g.len() / self.m.dims.states
+    }
+
+    fn scratch(&self) -> Scratch {
+        let (n, d) = (self.m.dims.states, self.elements());
+        let reserved = d.min(400);
+        Scratch {
+            nu: vec![0.0; d],
+            gamma: self.m.gamma.clone(),
+            zeta: vec![0.0; self.m.dims.channels * n],
+            x_s: vec![0.0; n - self.flat],
+            projection: self.projection.scratch(),
+            square: vec![0.0; n * n],
+            square_2: vec![0.0; n * n],
+            factor: vec![0.0; reserved * reserved],
+            half: vec![0.0; reserved * n],
+            support: Vec::with_capacity(d),
+            missing: vec![false; self.m.dims.channels],
+            solver: if self.element_wise {
+                Solver::Elements(lasso::Workspace::new(d))
+            } else {
+                Solver::Groups(group_lasso::Workspace::new(d, self.m.gamma.len()))
+            },
+        }
+    }
+
+    /// Correct the local filters with y (12); a missing channel is filled with its prediction. Returns how many came.
+    fn correct(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> usize {
+        let m = &self.m;
+        let (n, p, others) = (m.dims.states, m.dims.inputs, state.x_s.len());
+        let mut arrived = 0;
+        for i in 0..m.dims.channels {
+            let through = dot(&m.d[i * p..(i + 1) * p], u);
+            let expected = dot(&m.c[i * n..(i + 1) * n], &state.predicted) + through;
+            let missing = y[i].is_nan();
+            state.scratch.missing[i] = missing;
+            out.innovation[i] = y[i] - expected;
+            out.innovation_std[i] = m.innovation_std[i];
+            let value = if missing { expected } else { y[i] };
+            let explained = dot(&m.c_s[i * others..(i + 1) * others], &state.x_s);
+            axpy(value - through - explained, &m.drive, &mut state.zeta[i * n..(i + 1) * n]);
+            arrived += usize::from(!missing);
+        }
+        arrived
+    }
+
+    /// Problem (31) in the coordinates g: fast path, solve, refit. `state.g` out.
+    fn fuse(&self, state: &mut State) -> (Outcome, bool) {
+        let m = &self.m;
+        let scratch = &mut state.scratch;
+        self.projection.apply(&state.zeta, &mut scratch.nu, &mut scratch.projection);
+        scratch.gamma.copy_from_slice(&m.gamma);
+        for (i, &sensor) in m.channel_sensor.iter().enumerate() {
+            if scratch.missing[i] {
+                free(&mut scratch.gamma, &m.groups, self.elements_of(sensor));
+            }
+        }
+        let absent = self.freed(&scratch.gamma);
+        if absent == 0 && self.problem(&scratch.nu, &scratch.gamma, 0.0).zero_is_optimal() {
+            state.g.fill(0.0);
+            return (Outcome::default(), true);
+        }
+        let seats = m.refit.min((m.dims.sensors - absent).saturating_sub(1) / 2);
+        let energy = self.projection.energy(&state.zeta, &scratch.nu, &mut scratch.projection);
+        let mut iterations = 0;
+        loop {
+            let problem = self.problem(&scratch.nu, &scratch.gamma, energy);
+            let outcome = match &mut scratch.solver {
+                Solver::Elements(ws) => lasso::solve(&problem, &mut state.g, ws),
+                Solver::Groups(ws) => group_lasso::solve(&problem, &mut state.g, ws),
+            };
+            iterations += outcome.iterations;
+            let seat_left = self.freed(&scratch.gamma) < absent + seats;
+            match self.accused(&state.g, &scratch.gamma).filter(|_| seat_left) {
+                Some(sensor) => free(&mut scratch.gamma, &m.groups, self.elements_of(sensor)),
+                None => {
+                    let gap = outcome.gap;
+                    return (Outcome { iterations, gap }, false);
+                }
+            }
+        }
+    }
+
+    fn problem<'a>(&'a self, linear: &'a [f64], gamma: &'a [f64], energy: f64) -> Problem<'a> {
+        Problem { hessian: &self.m.hessian, linear, starts: &self.m.groups, gamma, energy }
+    }
+
+    /// Elements of g that belong to a sensor.
+    fn elements_of(&self, sensor: usize) -> Range<usize> {
+        self.m.sensors[sensor]..self.m.sensors[sensor + 1]
+    }
+
+    /// How many sensors have no penalty.
+    fn freed(&self, gamma: &[f64]) -> usize {
+        (0..self.m.dims.sensors)
+            .filter(|&sensor| is_free(gamma, &self.m.groups, self.elements_of(sensor)))
+            .count()
+    }
+
+    /// The penalised sensor with the largest ‖f_i‖, if it is suspected.
+    fn accused(&self, g: &[f64], gamma: &[f64]) -> Option<usize> {
+        let mut best = None;
+        let mut best_size = self.m.suspicion;
+        for sensor in 0..self.m.dims.sensors {
+            if !is_free(gamma, &self.m.groups, self.elements_of(sensor)) {
+                let size = self.size(g, sensor);
+                if size > best_size {
+                    best_size = size;
+                    best = Some(sensor);
+                }
+            }
+        }
+        best
+    }
+
+    /// ‖f_i‖ in the metric N_ii.
+    fn size(&self, g: &[f64], sensor: usize) -> f64 {
+        let d = self.elements();
+        let range = self.elements_of(sensor);
+        let part = &g[range.clone()];
+        if part.iter().all(|&v| v == 0.0) {
+            return 0.0;
+        }
+        let square: f64 = range
+            .clone()
+            .zip(part)
+            .map(|(i, &v)| v * dot(&self.m.hessian[i * d..][range.clone()], part))
+            .sum();
+        square.max(0.0).sqrt()
+    }
+
+    /// Trust 1 / (1 + (‖f_i‖ / suspicion)²), suspicion, and the attack −(bᵀ-weighted) (f_i(k) − T f_i(k−1)).
+    fn judge(&self, state: &State, out: &mut Output<'_>) {
+        let m = &self.m;
+        let d = self.elements();
+        for sensor in 0..m.dims.sensors {
+            let ratio = self.size(&state.g, sensor) / m.suspicion;
+            out.trust[sensor] = 1.0 / (1.0 + ratio * ratio);
+            out.suspected[sensor] = u8::from(ratio > 1.0);
+        }
+        for (i, &sensor) in m.channel_sensor.iter().enumerate() {
+            let range = self.elements_of(sensor);
+            out.attack[i] = dot(&m.attack_now[i * d..][range.clone()], &state.g[range.clone()])
+                + dot(&m.attack_before[i * d..][range.clone()], &state.g_before[range]);
+        }
+        for (i, &sensor) in m.channel_sensor.iter().enumerate() {
+            if state.scratch.missing[i] {
+                out.trust[sensor] = f64::NAN;
+                out.suspected[sensor] = 0;
+                out.attack[i] = f64::NAN;
+            }
+        }
+    }
+
+    /// ζ ← T ζ + H u, x_s ← A_s x_s + B_s u, prediction A x + B u.
+    fn predict(&self, state: &mut State, x: &[f64], u: &[f64]) {
+        let m = &self.m;
+        let (n, p) = (m.dims.states, m.dims.inputs);
+        let scratch = &mut state.scratch;
+        for (target, source) in scratch.zeta.chunks_exact_mut(n).zip(state.zeta.chunks_exact(n)) {
+            target.fill(0.0);
+            add_gemv_transposed(&m.t_transposed, source, target);
+        }
+        std::mem::swap(&mut scratch.zeta, &mut state.zeta);
+        gemv(&m.a, x, &mut state.predicted);
+        gemv(&m.a_s, &state.x_s, &mut scratch.x_s);
+        std::mem::swap(&mut scratch.x_s, &mut state.x_s);
+        if p > 0 {
+            add_gemv(&m.input_map, u, &mut state.zeta);
+            add_gemv(&m.b_s, u, &mut state.x_s);
+            add_gemv(&m.b, u, &mut state.predicted);
+        }
+    }
+}
+
+impl Estimator for SparseFusion {
+    type State = State;
+    type Plan = ();
+
+    fn dims(&self) -> Dims {
+        self.m.dims
+    }
+
+    fn diagnostics(&self) -> &'static [&'static str] {
+        &["fast_path", "iterations", "gap"]
+    }
+
+    fn start(&self, mean: &[f64], covariance: Option<&[f64]>) -> Result<State> {
+        let m = &self.m;
+        let (n, d) = (m.dims.states, self.elements());
+        Error::check_len("prior.x", n, mean.len())?;
+        if covariance.is_some() {
+            return Err(Error::input(
+                "prior.P",
+                "None, because sparse fusion runs in steady state",
+                "a covariance",
+            ));
+        }
+        let mut modes = vec![0.0; n];
+        gemv(&m.modes, mean, &mut modes);
+        let mut zeta = vec![0.0; m.dims.channels * n];
+        if self.flat > 0 {
+            gemv(&m.start_map, &modes[..self.flat], &mut zeta);
+        }
+        Ok(State {
+            zeta,
+            x_s: modes[self.flat..].to_vec(),
+            predicted: mean.to_vec(),
+            g: vec![0.0; d],
+            g_before: vec![0.0; d],
+            p: m.p.clone(),
+            transient: false,
+            scratch: self.scratch(),
+        })
+    }
+
+    fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
+        let arrived = self.correct(state, y, u, out) > 0;
+        self.track_covariance(state, arrived);
+        state.g_before.copy_from_slice(&state.g);
+        let (outcome, fast) = if arrived {
+            self.fuse(state)
+        } else {
+            state.g.fill(0.0);
+            (Outcome::default(), false)
+        };
+        if arrived {
+            gemv(&self.m.fusion, &state.zeta, out.x);
+            add_gemv(&self.m.v_s, &state.x_s, out.x);
+            if !fast {
+                add_gemv(&self.m.fusion_g, &state.g, out.x);
+            }
+        } else {
+            out.x.copy_from_slice(&state.predicted);
+        }
+        let determined = self.covariance(state, out);
+        self.judge(state, out);
+        out.diagnostics[0] = f64::from(u8::from(fast));
+        out.diagnostics[1] = outcome.iterations as f64;
+        out.diagnostics[2] = outcome.gap;
+        *out.status = match (arrived, determined, outcome.gap <= SOLVED) {
+            (false, _, _) => Status::NoMeasurement,
+            (_, false, _) => Status::IllConditioned,
+            (_, _, false) => Status::NotConverged,
+            _ => Status::Ok,
+        } as u8;
+        self.predict(state, out.x, u);
+        Ok(())
+    }
+
+    fn save(&self, state: &State, to: &mut Encoder) {
+        to.integer(u64::from(state.transient));
+        for part in [&state.zeta, &state.x_s, &state.predicted, &state.g, &state.g_before, &state.p] {
+            to.floats(part);
+        }
+    }
+
+    fn load(&self, from: &mut Decoder<'_>) -> Result<State> {
+        let mut state = self.start(&vec![0.0; self.m.dims.states], None)?;
+        state.transient = from.integer()? != 0;
+        for part in [
+            &mut state.zeta,
+            &mut state.x_s,
+            &mut state.predicted,
+            &mut state.g,
+            &mut state.g_before,
+            &mut state.p,
+        ] {
+            from.floats(part)?;
+        }
+        Ok(state)
+    }
+
+    fn fingerprint(&self) -> u64 {
+        let m = &self.m;
+        [&m.a, &m.b, &m.c, &m.d, &m.t_transposed, &m.drive, &m.fusion, &m.hessian, &m.gamma, &m.p]
+            .iter()
+            .fold(Fingerprint::default(), |hash, part| hash.floats(part))
+            .sizes(&m.groups)
+            .sizes(&m.sensors)
+            .sizes(&m.channel_sensor)
+            .floats(&[m.suspicion, m.refit as f64])
+            .finish()
+    }
+}
+
+/// Free every penalty group among these elements.
+fn free(gamma: &mut [f64], groups: &[usize], elements: Range<usize>) {
+    for (value, &start) in gamma.iter_mut().zip(groups) {
+        if elements.contains(&start) {
+            *value = 0.0;
+        }
+    }
+}
+
+/// Whether these elements have no penalty; a sensor without elements has none to lose.
+fn is_free(gamma: &[f64], groups: &[usize], elements: Range<usize>) -> bool {
+    !elements.is_empty() && groups.binary_search(&elements.start).is_ok_and(|j| gamma[j] == 0.0)
+}
