@@ -6,6 +6,8 @@ use std::cell::Cell;
 
 use securestate_kernels::kalman::Kalman;
 use securestate_kernels::model::{Matrices, Model};
+use securestate_kernels::projection::{Blocks, Projection};
+use securestate_kernels::sparse_fusion::{self, SparseFusion};
 use securestate_kernels::{Design, Dims, Kernel, Record, Units};
 
 struct Counting;
@@ -109,5 +111,71 @@ fn a_kalman_step_allocates_nothing() {
         assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m})");
         let prior = identity(n);
         assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m})");
+    }
+}
+
+/// m sensors that all see the same n states, each with an orthonormal block of its own in g.
+fn sparse_fusion(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let d = n * m;
+    let share = 1.0 / m as f64;
+    let (mut hessian, mut fusion, mut c) = (identity(d), vec![0.0; n * d], vec![0.0; m * n]);
+    for i in 0..d {
+        for j in (i % n..d).step_by(n) {
+            hessian[i * d + j] -= share;
+        }
+        fusion[(i % n) * d + i] = share;
+    }
+    c.iter_mut().enumerate().for_each(|(k, value)| *value = 1.0 / (1.0 + (k % n) as f64));
+    let diagonal = |value: f64| identity(n).iter().map(|one| value * one).collect::<Vec<_>>();
+    let starts: Vec<usize> = (0..=m).map(|i| i * n).collect();
+    let per_channel: Vec<f64> = (0..m * d).map(|k| if (k % d) / n == k / d { 0.5 } else { 0.0 }).collect();
+    let blocks = || Blocks::new(starts.clone(), starts.clone(), identity(n).repeat(m)).unwrap();
+    let projection = Projection::dense(hessian.iter().map(|v| -v).collect(), blocks()).unwrap();
+    let estimator = SparseFusion::new(
+        sparse_fusion::Matrices {
+            dims: Dims { states: n, channels: m, sensors: m, inputs: 1 },
+            a: diagonal(0.9),
+            b: vec![0.1; n],
+            c: c.clone(),
+            d: vec![0.0; m],
+            t_transposed: diagonal(0.5),
+            drive: vec![0.8; n],
+            input_map: vec![0.1; m * n],
+            start_map: vec![],
+            modes: identity(n),
+            a_s: diagonal(0.9),
+            b_s: vec![0.1; n],
+            c_s: c,
+            v_s: identity(n),
+            fusion: fusion.clone(),
+            fusion_g: fusion,
+            hessian,
+            groups: starts.clone(),
+            sensors: starts.clone(),
+            channel_sensor: (0..m).collect(),
+            gamma: vec![2.0; m],
+            attack_now: per_channel.clone(),
+            attack_before: per_channel,
+            p: identity(n),
+            q: identity(n),
+            krk: diagonal(0.1),
+            ikc: diagonal(0.5),
+            innovation_std: vec![1.0; m],
+            suspicion: 3.0,
+            refit: (m - 1) / 2,
+        },
+        projection,
+    );
+    let units =
+        Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] };
+    Design::boxed(estimator.unwrap(), units).unwrap()
+}
+
+#[test]
+fn a_sparse_fusion_step_allocates_nothing_attacked_or_not() {
+    for (n, m) in [(1, 3), (3, 5), (10, 20)] {
+        let kernel = sparse_fusion(n, m);
+        assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "({n}, {m})");
     }
 }

@@ -14,6 +14,10 @@ const TARGET: f64 = 1e-11;
 const TOLERANCE: f64 = 1e-12;
 /// Newton stops when every active group's stationarity is within this share of its γ.
 const STATIONARY: f64 = 1e-12;
+/// Shares of the diagonal of H added to the Newton matrix, the next where the last leaves it singular.
+const DAMPING: [f64; 4] = [1e-13, 1e-10, 1e-7, 1e-4];
+/// A group this much smaller than the largest one counts as zero until it asks to come back.
+const NEGLIGIBLE: f64 = 1e-9;
 const SWEEPS: usize = 200;
 const NEWTON_STEPS: usize = 20;
 
@@ -118,7 +122,6 @@ fn minimise_on_active(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) 
     ws.refresh(problem, g);
     for sweep in 1..=SWEEPS {
         let moved = descend(problem, g, ws);
-        leave(problem, g, ws);
         let (steps, done) = newton(problem, g, ws);
         if done || moved == 0.0 {
             return sweep + steps;
@@ -199,32 +202,47 @@ fn block_minimum(problem: &Problem<'_>, range: Range<usize>, gamma: f64, c: &mut
     }
 }
 
-/// Take groups at zero out of the active set.
-fn leave(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace) {
+/// Take groups at zero, or so close to it that Newton's matrix would explode, out of the active set.
+fn leave(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) {
+    let sizes = ws.active.iter().map(|&j| norm(&g[problem.range(j)]));
+    let negligible = NEGLIGIBLE * sizes.fold(0.0, f64::max);
+    let mut moved = false;
     let member = &mut ws.member;
     ws.active.retain(|&j| {
-        member[j] = problem.gamma[j] == 0.0 || g[problem.range(j)].iter().any(|&v| v != 0.0);
+        let part = &mut g[problem.range(j)];
+        let size = norm(part);
+        member[j] = problem.gamma[j] == 0.0 || size > negligible;
+        if !member[j] {
+            moved |= size > 0.0;
+            part.fill(0.0);
+        }
         member[j]
     });
+    if moved {
+        ws.refresh(problem, g);
+    }
 }
 
-/// Newton's method on the active groups, none of which is at zero. Returns steps and whether it is stationary.
+/// Newton's method on the active groups; those that reach zero leave. Returns steps and whether it is stationary.
 fn newton(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) -> (usize, bool) {
-    let size = ws.size(problem);
-    if ws.factor.len() < size * size {
-        ws.factor.resize(size * size, 0.0);
-    }
     for steps in 0..NEWTON_STEPS {
+        leave(problem, g, ws);
+        let size = ws.size(problem);
+        if ws.factor.len() < size * size {
+            ws.factor.resize(size * size, 0.0);
+        }
         if stationary(problem, g, ws) {
             return (steps, true);
         }
-        assemble(problem, g, ws, size);
-        if cholesky(&mut ws.factor, size, size, 1e-14).is_err() {
+        let regular = DAMPING.iter().any(|&damping| {
+            assemble(problem, g, ws, size, damping);
+            cholesky(&mut ws.factor, size, size, 1e-14).is_ok()
+        });
+        if !regular {
             return (steps, false);
         }
-        let slope_vector_norm = dot(&ws.image[..size], &ws.image[..size]);
         cholesky_solve(&ws.factor, size, &mut ws.step[..size]);
-        if slope_vector_norm == 0.0 || !search(problem, g, ws, size) {
+        if !search(problem, g, ws, size) {
             return (steps + 1, false);
         }
     }
@@ -244,7 +262,7 @@ fn stationary(problem: &Problem<'_>, g: &[f64], ws: &Workspace) -> bool {
 }
 
 /// Newton matrix into `factor` (lower triangle), right-hand side into `step` and `image`.
-fn assemble(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace, size: usize) {
+fn assemble(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace, size: usize, damping: f64) {
     let mut at = 0;
     for &a in &ws.active {
         let own = problem.range(a);
@@ -265,7 +283,7 @@ fn assemble(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace, size: usize) {
                 }
                 column += range.len();
             }
-            row[at] += scale + 1e-13 * source[i];
+            row[at] += scale + damping * source[i];
             ws.step[at] = ws.nu[i] - scale * g[i];
             ws.image[at] = ws.step[at];
             at += 1;
@@ -288,7 +306,7 @@ fn search(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, size: usize)
         ws.image[at] = product;
     }
     let curvature = dot(&ws.image[..size], &ws.step[..size]);
-    let mut t = 1.0;
+    let mut t = (2.0 * nearest_zero(problem, g, ws)).min(1.0);
     for _ in 0..30 {
         let change = 0.5 * t * t * curvature - t * descent + penalty_change(problem, g, ws, t);
         if change <= -1e-4 * t * slope + 1e-15 * descent.abs() {
@@ -301,6 +319,23 @@ fn search(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, size: usize)
         t *= 0.5;
     }
     false
+}
+
+/// The first step length at which a penalised group is as close to zero as the step brings it.
+///
+/// On a singular active set the Newton step is long and the minimum lies where a group vanishes.
+fn nearest_zero(problem: &Problem<'_>, g: &[f64], ws: &Workspace) -> f64 {
+    let (mut nearest, mut at) = (f64::INFINITY, 0);
+    for &j in &ws.active {
+        let range = problem.range(j);
+        let step = &ws.step[at..at + range.len()];
+        at += range.len();
+        let toward = -dot(&g[range], step);
+        if problem.gamma[j] > 0.0 && toward > 0.0 {
+            nearest = f64::min(nearest, toward / dot(step, step));
+        }
+    }
+    nearest
 }
 
 /// Σ γ_j (‖g_j + t p_j‖ − ‖g_j‖)
