@@ -7,8 +7,8 @@
 //! Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*.
 
 use crate::codec::{Decoder, Encoder};
+use crate::covariance::{Covariance, Recursion};
 use crate::gains::{Gains, Scratch};
-use crate::linalg::dot;
 use crate::model::Model;
 use crate::ud::Ud;
 use crate::{Dims, Error, Estimator, Output, Result};
@@ -22,11 +22,7 @@ const SEARCH: usize = 2000;
 /// The Kalman filter of one plant.
 #[derive(Debug, Clone)]
 pub struct Kalman {
-    model: Model,
-    /// Rows of the time update, with G in its place: [A U, G].
-    template: Vec<f64>,
-    /// What [`Gains::listen`] says when every channel arrives; None if C varies.
-    full: Option<Gains>,
+    recursion: Recursion,
     /// State before the first measurement in steady state, if there is one.
     steady: Option<State>,
 }
@@ -39,25 +35,6 @@ pub struct State {
     p: Covariance,
     scratch: Scratch,
     next: Vec<f64>,
-}
-
-/// The part of the state that does not see data.
-#[derive(Debug, Clone)]
-struct Covariance {
-    /// P[k|k−1].
-    prior: Ud,
-    /// With every channel present the prior repeats itself.
-    settled: bool,
-    /// `gains` belong to `prior` with every channel present, covariance included.
-    cached: bool,
-    gains: Gains,
-    work: Ud,
-    rows: Vec<f64>,
-    weights: Vec<f64>,
-    weighted: Vec<f64>,
-    before: Vec<f64>,
-    after: Vec<f64>,
-    scratch: Scratch,
 }
 
 /// Gains for a block of samples, and the covariance after it.
@@ -74,49 +51,29 @@ impl Kalman {
     /// # Errors
     /// If `steady` is not a covariance.
     pub fn new(model: Model, steady: Option<&[f64]>) -> Result<Self> {
-        let (n, m, r) = (model.dims.states, model.dims.channels, model.q.len());
-        let mut template = vec![0.0; n * (n + r)];
-        for (row, g) in template.chunks_exact_mut(n + r).zip(model.g.chunks(r.max(1))) {
-            row[n..].copy_from_slice(g);
-        }
-        let full = model.horizon.is_none().then(|| {
-            let mut gains = Gains::new(&model);
-            gains.listen(&model, 0, &vec![0.0; m]);
-            gains
-        });
-        let mut filter = Self { model, template, full, steady: None };
+        let recursion = Recursion::new(model);
+        let mut filter = Self { recursion, steady: None };
         filter.steady = steady.map(|p| filter.settle(p)).transpose()?;
         Ok(filter)
     }
 
+    fn model(&self) -> &Model {
+        &self.recursion.model
+    }
+
     fn state(&self, mean: Vec<f64>, prior: Ud) -> State {
-        let dims = self.model.dims;
-        let n = dims.states;
-        let mut weights = vec![0.0; n];
-        weights.extend_from_slice(&self.model.q);
-        let p = Covariance {
-            work: prior.clone(),
-            prior,
-            settled: false,
-            cached: false,
-            gains: Gains::new(&self.model),
-            rows: self.template.clone(),
-            weighted: weights.clone(),
-            weights,
-            before: vec![0.0; n],
-            after: vec![0.0; n],
-            scratch: Scratch::new(dims),
-        };
+        let (dims, n) = (self.model().dims, mean.len());
+        let p = self.recursion.start(prior);
         State { k: 0, x: mean, p, scratch: Scratch::new(dims), next: vec![0.0; n] }
     }
 
     /// The state in steady state: `p`, iterated until it repeats itself if it does so soon.
     fn settle(&self, p: &[f64]) -> Result<State> {
-        let (n, m) = (self.model.dims.states, self.model.dims.channels);
+        let (n, m) = (self.model().dims.states, self.model().dims.channels);
         let start = self.state(vec![0.0; n], Ud::new("prior covariance", p, n)?);
         let (mut state, all) = (start.clone(), vec![0.0; m]);
         for _ in 0..SEARCH {
-            self.advance_covariance(&mut state.p, 0, &all, false);
+            self.recursion.advance(&mut state.p, 0, &all, false);
             if state.p.cached {
                 return Ok(state);
             }
@@ -124,44 +81,8 @@ impl Kalman {
         Ok(start)
     }
 
-    /// The covariance part of one step: gains for sample k, then P[k+1|k].
-    fn advance_covariance(&self, p: &mut Covariance, k: usize, y: &[f64], keep: bool) {
-        let all = y.iter().all(|value| !value.is_nan());
-        let repeats = all && p.settled;
-        if repeats && p.cached {
-            return;
-        }
-        p.cached = repeats;
-        match &self.full {
-            Some(full) if all => p.gains.listen_to_all(full),
-            _ => p.gains.listen(&self.model, k, y),
-        }
-        p.work.copy_from(&p.prior);
-        p.gains.correct_covariance(&self.model, k, &mut p.work, &mut p.scratch, keep || repeats);
-        if !repeats {
-            self.predict_covariance(p, k);
-            p.settled = self.full.is_some() && all && p.repeats();
-            std::mem::swap(&mut p.prior, &mut p.work);
-        }
-    }
-
-    /// From P[k|k] to P[k+1|k] in `work`: the rows [A U, G] with weights [D, q], made orthogonal.
-    fn predict_covariance(&self, p: &mut Covariance, k: usize) {
-        let (n, width) = (self.model.dims.states, p.weights.len());
-        p.weights[..n].copy_from_slice(&p.work.d);
-        let a = self.model.a(k).chunks_exact(n);
-        let rows = p.rows.chunks_exact_mut(width).zip(self.template.chunks_exact(width));
-        for ((row, template), a) in rows.zip(a) {
-            row[n..].copy_from_slice(&template[n..]);
-            for (l, target) in row[..n].iter_mut().enumerate() {
-                *target = a[l] + dot(p.work.column(l), &a[..l]);
-            }
-        }
-        p.work.orthogonalise(&mut p.rows, &p.weights, &mut p.weighted);
-    }
-
     fn check_horizon(&self, k: usize) -> Result<()> {
-        match self.model.horizon {
+        match self.model().horizon {
             Some(horizon) if k >= horizon => Err(Error::input(
                 "y",
                 format!("at most {horizon} samples, as many as A and C cover"),
@@ -180,29 +101,10 @@ impl Kalman {
         (y, u): (&[f64], &[f64]),
         out: &mut Output<'_>,
     ) {
-        gains.correct(&self.model, *k, x, (y, u), scratch, out);
-        self.model.predict(*k, x, u, next);
+        gains.correct(self.model(), *k, x, (y, u), scratch, out);
+        self.model().predict(*k, x, u, next);
         std::mem::swap(x, next);
         *k += 1;
-    }
-}
-
-impl Covariance {
-    /// Whether the new prior in `work` differs from the old one by no more than one step's rounding: going on
-    /// would not bring it closer to the limit than the recursion's own rounding allows.
-    fn repeats(&mut self) -> bool {
-        self.prior.variances(&mut self.before);
-        self.work.variances(&mut self.after);
-        let tolerance = (self.before.len() + 8) as f64 * f64::EPSILON;
-        self.prior.is_close(&self.work, &self.before, &self.after, tolerance)
-    }
-
-    /// Equal to the bit in everything that decides how it goes on.
-    fn same(&self, other: &Self) -> bool {
-        let equal = |a: &[f64], b: &[f64]| a.iter().map(|v| v.to_bits()).eq(b.iter().map(|v| v.to_bits()));
-        self.settled == other.settled
-            && equal(&self.prior.d, &other.prior.d)
-            && (0..self.prior.d.len()).all(|j| equal(self.prior.column(j), other.prior.column(j)))
     }
 }
 
@@ -211,7 +113,7 @@ impl Estimator for Kalman {
     type Plan = Plan;
 
     fn dims(&self) -> Dims {
-        self.model.dims
+        self.model().dims
     }
 
     fn diagnostics(&self) -> &'static [&'static str] {
@@ -219,7 +121,7 @@ impl Estimator for Kalman {
     }
 
     fn start(&self, mean: &[f64], covariance: Option<&[f64]>) -> Result<State> {
-        Error::check_len("prior.x", self.model.dims.states, mean.len())?;
+        Error::check_len("prior.x", self.model().dims.states, mean.len())?;
         if let Some(p) = covariance {
             return Ok(self.state(mean.to_vec(), Ud::new("prior.P", p, mean.len())?));
         }
@@ -232,7 +134,7 @@ impl Estimator for Kalman {
 
     fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
         self.check_horizon(state.k)?;
-        self.advance_covariance(&mut state.p, state.k, y, out.covariance.is_some());
+        self.recursion.advance(&mut state.p, state.k, y, out.covariance.is_some());
         let State { k, x, p, scratch, next } = state;
         self.advance_mean(&p.gains, (k, x), (scratch, next), (y, u), out);
         Ok(())
@@ -240,21 +142,21 @@ impl Estimator for Kalman {
 
     fn plan(&self, states: &[&State], y: &[f64], steps: usize) -> Option<Plan> {
         let (lead, others) = states.split_first()?;
-        let (pattern, rest) = y.split_at_checked(steps * self.model.dims.channels)?;
+        let (pattern, rest) = y.split_at_checked(steps * self.model().dims.channels)?;
         let alike = |other: &&State| other.k == lead.k && other.p.same(&lead.p);
         if !others.iter().all(alike) || !rest.chunks(pattern.len()).all(|run| same_gaps(run, pattern)) {
             return None;
         }
         self.check_horizon((lead.k + steps).checked_sub(1)?).ok()?;
         let mut plan = Plan { gains: Vec::new(), index: Vec::new(), end: lead.p.clone() };
-        for (i, row) in pattern.chunks(self.model.dims.channels).enumerate() {
+        for (i, row) in pattern.chunks(self.model().dims.channels).enumerate() {
             let known = plan.end.cached && !plan.gains.is_empty();
-            self.advance_covariance(&mut plan.end, lead.k + i, row, true);
+            self.recursion.advance(&mut plan.end, lead.k + i, row, true);
             if !(known && plan.end.cached) {
                 plan.gains.push(plan.end.gains.clone());
             }
             plan.index.push(plan.gains.len() - 1);
-            if plan.gains.len() * Gains::size(&self.model) > PLAN {
+            if plan.gains.len() * Gains::size(self.model()) > PLAN {
                 return None;
             }
         }
@@ -292,7 +194,7 @@ impl Estimator for Kalman {
     }
 
     fn load(&self, from: &mut Decoder<'_>) -> Result<State> {
-        let n = self.model.dims.states;
+        let n = self.model().dims.states;
         let (k, settled) = (from.integer()?, from.integer()? != 0);
         let (mut x, mut prior) = (vec![0.0; n], Ud::zero(n));
         from.floats(&mut x)?;
@@ -307,7 +209,7 @@ impl Estimator for Kalman {
     }
 
     fn fingerprint(&self) -> u64 {
-        let hash = self.model.fingerprint();
+        let hash = self.model().fingerprint();
         match &self.steady {
             Some(steady) => hash.floats(&steady.p.prior.d).floats(&steady.p.prior.u).finish(),
             None => hash.finish(),

@@ -4,6 +4,7 @@
 
 pub mod bank;
 pub mod codec;
+pub mod covariance;
 mod error;
 pub mod estimator;
 pub mod gains;
