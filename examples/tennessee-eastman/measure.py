@@ -2,12 +2,13 @@
 
     python measure.py
 
-held-out.csv has ten runs of 8 hours. In each, one sensor gets a bias from hour 2 on, upwards and downwards: 20
-trials per sensor and size. A trial is a success if that sensor is named as a liar and no other is. Sizes are in
-standard deviations of the sensor's normal variation (`scale` in plant.toml). Takes two or three minutes.
+held-out.csv has ten runs of 8 hours. In each, one sensor gets a bias from hour 2 on, upwards and downwards:
+20 trials per sensor and size. A trial is a success if that sensor is named as a liar and no other is. Sizes
+are in standard deviations of the sensor's normal variation (`scale` in plant.toml). Takes two to three
+minutes.
 
-"Vouched for" is the share of the sensor's variation that a Kalman filter predicts without that sensor. The last
-line is a lie of two sensors together.
+"Vouched for" is the share of the sensor's variation that a Kalman filter predicts without that sensor. The
+last line is a lie of two sensors together.
 """
 
 from collections.abc import Iterator
@@ -54,7 +55,7 @@ def main() -> None:
 
 
 def vouched(plant: Plant, runs: list[Array], i: int) -> float:
-    """Return the share of channel i's variation that the other channels predict, after the first two hours."""
+    """Return the share of channel i's variation that the others predict, after the first two hours."""
     kalman, blind = KalmanFilter(plant), [y.copy() for y in runs]
     for y in blind:
         y[:, i] = np.nan

@@ -1,0 +1,97 @@
+"""The chemical plant, run as a user runs it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from securestate import Plant
+
+EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "tennessee-eastman"
+PRESSURE, TEMPERATURE = "XMEAS 7 reactor pressure", "XMEAS 11 separator temperature"
+HOUR = 20  # samples
+
+
+def call(*words: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, *map(str, words)], capture_output=True, text=True, encoding="utf-8", timeout=60
+    )
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of results, and what was printed."""
+    out = tmp_path_factory.mktemp("tennessee")
+    process = call(EXAMPLE / "run.py", "--out", out)
+    assert process.returncode == 0, process.stderr
+    return out, process.stdout
+
+
+@pytest.fixture(scope="module")
+def estimates(done: tuple[Path, str]) -> pd.DataFrame:
+    return pd.read_parquet(done[0] / "estimates.parquet")
+
+
+def test_exactly_the_two_falsified_sensors_are_named(done: tuple[Path, str]) -> None:
+    assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in done[1]
+
+
+def test_no_honest_sensor_is_suspected_for_one_percent_of_the_time(estimates: pd.DataFrame) -> None:
+    suspected = estimates.filter(like="suspected.").mean()
+    assert len(suspected) == 22
+    assert suspected.drop([f"suspected.{PRESSURE}", f"suspected.{TEMPERATURE}"]).max() < 0.01
+
+
+def test_nobody_is_suspected_before_the_first_lie(estimates: pd.DataFrame) -> None:
+    assert not estimates.filter(like="suspected.").iloc[: 10 * HOUR].to_numpy().any()
+
+
+@pytest.mark.parametrize(
+    ("sensor", "start", "full", "delay", "size"),
+    [(PRESSURE, 10, 10, 0.1, -15.0), (TEMPERATURE, 24, 30, 1.0, 1.0)],
+)
+def test_a_lie_is_found_in_time_and_measured_within_three_percent(
+    estimates: pd.DataFrame, sensor: str, start: int, full: int, delay: float, size: float
+) -> None:
+    suspected = estimates[f"suspected.{sensor}"].to_numpy(dtype=bool)
+    assert suspected[int((start + delay) * HOUR) :].mean() > 0.99
+    channel = " ".join(sensor.split()[:2])
+    assert estimates[f"attack.{channel}"].iloc[full * HOUR :].median() == pytest.approx(size, rel=0.03)
+
+
+def test_the_report_exists_and_names_the_liars(done: tuple[Path, str]) -> None:
+    report = done[0] / "report.html"
+    assert str(report) in done[1].splitlines()[-1]
+    assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in report.read_text(encoding="utf-8")
+
+
+def test_the_attacked_record_differs_from_the_clean_one_in_the_lies_only(done: tuple[Path, str]) -> None:
+    clean, attacked = pd.read_csv(EXAMPLE / "data.csv"), pd.read_csv(done[0] / "attacked.csv")
+    added = attacked - clean
+    assert added.drop(columns=["XMEAS 7", "XMEAS 11"]).abs().to_numpy().max() == 0
+    assert added["XMEAS 7"].round(5).tolist() == [0.0] * 200 + [-15.0] * 760
+    assert added["XMEAS 11"].round(5).iloc[[480, 540, 600, 959]].tolist() == [0.0, 0.5, 1.0, 1.0]
+
+
+def test_on_the_clean_record_nobody_is_named(tmp_path: Path) -> None:
+    words = (
+        "-m",
+        "securestate",
+        "estimate",
+        "--plant",
+        EXAMPLE / "plant.toml",
+        "--data",
+        EXAMPLE / "data.csv",
+    )
+    process = call(*words)
+    assert process.returncode == 0, process.stderr
+    assert "No sensor is suspected." in process.stdout
+
+
+def test_the_plant_file_is_what_its_script_makes_of_the_identified_model(tmp_path: Path) -> None:
+    script = "import sys; sys.path.insert(0, sys.argv[1]); import prepare; prepare.plant().save(sys.argv[2])"
+    process = call("-c", script, EXAMPLE, tmp_path / "plant.toml")
+    assert process.returncode == 0, process.stderr
+    assert Plant.load(tmp_path / "plant.toml") == Plant.load(EXAMPLE / "plant.toml")
