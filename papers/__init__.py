@@ -1,0 +1,1 @@
+"""Reproductions of the papers whose methods the package holds, one folder per paper."""

@@ -1,0 +1,108 @@
+"""The reproduction of liu2020 in its quick form: expected.json holds, and nothing half-done is written."""
+
+from pathlib import Path
+
+import pytest
+
+from papers.liu2020 import __main__ as program
+from papers.liu2020 import figure, report
+from papers.liu2020.monte_carlo import Curve
+from papers.liu2020.setting import FOLDER, Setting, Value
+
+
+@pytest.fixture(scope="module")
+def quick() -> tuple[dict[str, Value], Curve]:
+    return program.compute(Setting("quick"), program.Console(quiet=True))
+
+
+@pytest.fixture(scope="module")
+def rows(quick: tuple[dict[str, Value], Curve]) -> dict[str, report.Row]:
+    judged = report.judge(quick[0], "quick")
+    keys = [row["key"] for section in report.expected()["sections"] for row in section["rows"]]
+    return dict(zip(keys, judged, strict=True))
+
+
+def test_every_number_without_chance_is_the_expected_one_at_full_tolerance(
+    rows: dict[str, report.Row],
+) -> None:
+    certain = {key: row for key, row in rows.items() if row.value.error == 0}
+    assert len(certain) > 25
+    assert [key for key, row in certain.items() if not row.holds] == []
+
+
+def test_every_simulated_number_is_the_expected_one_within_four_standard_errors(
+    rows: dict[str, report.Row],
+) -> None:
+    simulated = {key: row for key, row in rows.items() if row.value.error > 0}
+    assert len(simulated) > 60
+    assert report.expected()["sigma"]["quick"] == 4
+    assert [key for key, row in simulated.items() if not row.holds] == []
+
+
+def test_only_the_minimum_under_attack_differs_from_what_the_paper_states(
+    rows: dict[str, report.Row],
+) -> None:
+    differs = {key for key, row in rows.items() if row.reproduces is False}
+    assert differs == {"fig2.best gamma", "fig2.excess at 0.75"}
+
+
+def test_robust_fusion_is_within_five_percent_of_the_oracle_for_every_liar(
+    rows: dict[str, report.Row],
+) -> None:
+    for sensor in range(1, 6):
+        oracle = rows[f"attack.oracle run.{sensor}"].value.number
+        for form in ("refit", "default"):
+            assert rows[f"attack.{form}.{sensor}"].value.number < 1.05 * oracle
+
+
+def test_paper_form_loses_by_the_square_of_a_lie_where_its_ratio_exceeds_one(
+    rows: dict[str, report.Row],
+) -> None:
+    for sensor in (2, 3):
+        assert rows[f"rho.paper.{sensor}"].value.number > 1
+        small, large = (rows[f"growth.paper.{sensor}.{size}"].value.number for size in (100, 1000))
+        assert 95 < large / small < 110
+
+
+def test_readme_holds_a_table_line_for_every_quantity(rows: dict[str, report.Row]) -> None:
+    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    assert [row.quantity for row in rows.values() if f"| {row.quantity} |" not in text] == []
+    assert "VIOLATED" not in text
+
+
+def test_figure_is_the_same_text_for_the_same_numbers(quick: tuple[dict[str, Value], Curve]) -> None:
+    first, second = (figure.draw(quick[1], 100.0) for _ in range(2))
+    assert first == second
+    assert first.startswith("<?xml")
+
+
+def test_a_number_that_is_off_gives_exit_code_1_and_writes_nothing(
+    quick: tuple[dict[str, Value], Curve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found, curve = quick
+    monkeypatch.setattr(program, "compute", lambda *_: (found | {"trace": Value(0.84)}, curve))
+    assert program.main(["--quick", "--out", str(tmp_path)]) == 1
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_numbers_that_hold_give_exit_code_0_and_both_files(
+    quick: tuple[dict[str, Value], Curve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(program, "compute", lambda *_: quick)
+    assert program.main(["--quick", "--out", str(tmp_path)]) == 0
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", "fig2.svg"]
+    written = (tmp_path / "README.md").read_text(encoding="utf-8")
+    assert "20 runs of 150 samples" in written
+    assert written.startswith((FOLDER / "README.md").read_text(encoding="utf-8").split(report.BEGIN)[0])
+
+
+def test_files_are_written_all_or_none(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    with pytest.raises(IsADirectoryError):
+        report.write_whole(tmp_path, {"a": "text", "b": "text"})
+    assert [path.name for path in tmp_path.iterdir()] == ["b"]
+
+
+def test_a_number_that_nothing_expects_is_refused(quick: tuple[dict[str, Value], Curve]) -> None:
+    with pytest.raises(KeyError, match="surprise"):
+        report.judge(quick[0] | {"surprise": Value(1.0)}, "quick")
