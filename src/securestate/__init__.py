@@ -7,9 +7,11 @@ from securestate.errors import (
     PlantError,
     ResumeError,
     SecurestateError,
+    SecurestateWarning,
     ShapeError,
 )
 from securestate.estimators import Estimator, Filter, KalmanFilter, Run, SparseFusion, Status
+from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 
 __all__ = [
@@ -20,13 +22,17 @@ __all__ = [
     "InputError",
     "KalmanFilter",
     "MeasurementError",
+    "Measurements",
     "Plant",
     "PlantError",
     "ResumeError",
     "Run",
     "SecurestateError",
+    "SecurestateWarning",
     "Sensor",
     "ShapeError",
     "SparseFusion",
     "Status",
+    "read_measurements",
+    "write_run",
 ]

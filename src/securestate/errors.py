@@ -72,3 +72,7 @@ class ResumeError(SecurestateError, ValueError):
     def __init__(self, reason: str) -> None:
         super().__init__(reason)
         self.reason = reason
+
+
+class SecurestateWarning(UserWarning):
+    """The result is usable, but something about the data asks for another method or another look."""

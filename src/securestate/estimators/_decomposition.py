@@ -2,9 +2,9 @@
 
 Atoms: mathematics on arrays in the paper's letters. `sparse_fusion.py` gives them names and settings.
 
-Every local filter runs  ζ_i(k+1) = T ζ_i(k) + b y_i(k+1)  (12). Its error  ε_i = G_i x_u − ζ_i  obeys (19) and
-has the covariance W (29). Only the modes x_u that need a flat prior get columns of G; the others, x_s, keep
-their stationary prior and are noise to the local filters. The paper is the special case x_u = x.
+Every local filter runs  ζ_i(k+1) = T ζ_i(k) + b y_i(k+1)  (12). Its error  ε_i = G_i x_u − ζ_i  obeys (19)
+and has the covariance W (29). Only the modes x_u that need a flat prior get columns of G; the others, x_s,
+keep their stationary prior and are noise to the local filters. The paper is the special case x_u = x.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Split:
 def split_modes(A: Float, M: Float, cut: float) -> Split:
     """Block-diagonalise A into modes with |μ| ≥ cut and the rest, by an ordered real Schur form.
 
-    A stable mode that the filter cannot move (no noise reaches it or no sensor sees it, so M keeps it) has the
-    same eigenvalue in A and M. It needs no flat prior and stays with the rest, so that (20) is always solvable.
+    A stable mode that the filter cannot move (no noise reaches it or no sensor sees it, so M keeps it) has
+    the same eigenvalue in A and M. It needs no flat prior and stays with the rest: (20) is always solvable.
     """
     mu, poles = np.linalg.eigvals(A), np.linalg.eigvals(M)
     kept = np.array([z for z in mu if abs(z) < 1 and np.min(np.abs(poles - z)) < 1e-9])
@@ -67,16 +67,16 @@ def no_split(A: Float) -> Split:
 def _split(A: Float, is_flat: Callable[..., bool]) -> Split:
     n = len(A)
     S, Z, k = sl.schur(A, output="real", sort=is_flat)
-    X = np.zeros((k, n - k))
+    X: Float = np.zeros((k, n - k))
     if 0 < k < n:
-        X = sl.solve_sylvester(S[:k, :k], -S[k:, k:], -S[:k, k:])
+        X = np.asarray(sl.solve_sylvester(S[:k, :k], -S[k:, k:], -S[:k, k:]), dtype=np.float64)
     V = Z @ np.block([[np.eye(k), X], [np.zeros((n - k, k)), np.eye(n - k)]])
     V_inv = np.block([[np.eye(k), -X], [np.zeros((n - k, k)), np.eye(n - k)]]) @ Z.T
     return Split(V, V_inv, S[:k, :k], S[k:, k:])
 
 
 def observation_maps(split: Split, T: Float, b: Float) -> Float:
-    """E_j with E_j A_u − b e_jᵀ V_u A_u = T E_j (20) for the unit rows e_j; G_i = Σ_j C_ij E_j. Shape (n, n, n_u)."""
+    """E_j with E_j A_u − b e_jᵀ V_u A_u = T E_j (20) for unit rows e_j; G_i = Σ_j C_ij E_j. (n, n, n_u)."""
     V_u, A_u = split.V[:, : split.flat], split.A_u
     if not split.flat:
         return np.zeros((len(T), len(T), 0))
@@ -173,7 +173,9 @@ def weights(C: Float, R: Float, E: Float, unit_cov: Float, gramian: Float | None
     U, s, Vt = np.linalg.svd(sl.solve_triangular(R_root, C, lower=True), full_matrices=False)
     r = int(np.sum(s > 1e-13 * s[0]))
     U, reduced_C = U[:, :r], s[:r, np.newaxis] * Vt[:r]
-    root = np.eye(n) if gramian is None else sl.solve_triangular(np.linalg.cholesky(gramian), np.eye(n), lower=True).T
+    root = np.eye(n)
+    if gramian is not None:
+        root = sl.solve_triangular(np.linalg.cholesky(gramian), root, lower=True).T
     cov = np.einsum("ij,jakb,lk->ialb", reduced_C, unit_cov, reduced_C, optimize=True)
     cov = np.einsum("ap,iajb,bq->ipjq", root, cov, root, optimize=True).reshape(r * n, r * n)
     W = np.eye(r * n) + (cov + cov.T) / 2
@@ -193,4 +195,4 @@ def dense_covariance(C: Float, R: Float, unit_cov: Float, gramian: Float | None)
     m, n = C.shape
     noise = np.kron(R, np.eye(n) if gramian is None else gramian)
     process = np.einsum("ij,jakb,lk->ialb", C, unit_cov, C, optimize=True).reshape(m * n, m * n)
-    return noise + (process + process.T) / 2
+    return np.asarray(noise + (process + process.T) / 2, dtype=np.float64)

@@ -1,7 +1,7 @@
 """Pairs (T, b) that drive the local filters: T has the spectrum of M = A − K C A and (T, b) is controllable.
 
-Two choices: the orthonormal pair of Takenaka and Malmquist (robust form) and the Jordan form with b = 1 of the
-paper. Any choice gives the same Kalman filter (Theorem 1); they differ in conditioning.
+Two choices: the orthonormal pair of Takenaka and Malmquist (robust form) and the Jordan form with b = 1 of
+the paper. Any choice gives the same Kalman filter (Theorem 1); they differ in conditioning.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def takenaka_malmquist(M: Float) -> Pair:
     n = len(M)
     T, b = np.zeros((n, n)), np.zeros(n)
     row, gain, k = np.zeros(n), 1.0, 0  # input of the next section = row · z + gain · u
-    for a1, b1, c1, d1 in map(_all_pass, _sections(np.linalg.eigvals(M))):
+    for a1, b1, c1, d1 in map(_all_pass, _sections(np.linalg.eigvals(M).astype(np.complex128))):
         s = slice(k, k + len(b1))
         T[s] = np.outer(b1, row)
         T[s, s] = a1
@@ -122,7 +122,7 @@ def _jordan_blocks(M: Float) -> list[tuple[complex, int]]:
 
 
 def _cluster_blocks(M: Float, cluster: list[complex], scale: float) -> list[tuple[complex, int]]:
-    """One Jordan block if the cluster's mean is a defective eigenvalue, single blocks if they are distinct."""
+    """One Jordan block if the cluster's mean is a defective eigenvalue, single blocks if distinct."""
     mean = complex(np.mean(cluster))
     if abs(mean.imag) <= _CLUSTER * scale:
         mean = complex(mean.real)
@@ -130,7 +130,7 @@ def _cluster_blocks(M: Float, cluster: list[complex], scale: float) -> list[tupl
     multiplicity = int(np.sum(s <= 1e-9 * scale))
     if multiplicity > 1:
         raise DesignError(
-            f"A − K C A is derogatory: eigenvalue {mean:.6g} has {multiplicity} eigenvectors, so W is singular",
+            f"A − K C A is derogatory: {multiplicity} eigenvectors for eigenvalue {mean:.6g}; W is singular",
             'use form="robust", which needs no such assumption',
         )
     if multiplicity == 1:

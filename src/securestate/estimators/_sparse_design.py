@@ -1,17 +1,19 @@
 """From the decomposition to what the kernel of sparse fusion needs: coordinates, penalties, projection.
 
-The kernel solves  min ½ gᵀ H g − ν₀ᵀ g + Σ γ_j ‖g_j‖₂  in coordinates f_i = S_i g_i per sensor, chosen so that
-the penalty is a plain 2-norm and every diagonal block of H is diagonal: one block update is then a scalar equation.
+The kernel solves  min ½ gᵀ H g − ν₀ᵀ g + Σ γ_j ‖g_j‖₂  in coordinates f_i = S_i g_i per sensor, chosen so
+that the penalty is a plain 2-norm and every diagonal block of H is diagonal: one block update is then a
+scalar equation.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy.special import gammaincinv
 
 from securestate.estimators._pairs import Pair
 from securestate.plant import Plant
@@ -29,7 +31,7 @@ RANK_TOLERANCE = 1e-10
 
 @dataclass(frozen=True)
 class Coordinates:
-    """f_i = S_i g_i, chosen per sensor so that the penalty is a plain 2-norm and the blocks of H are diagonal.
+    """f_i = S_i g_i per sensor: the penalty becomes a plain 2-norm and the blocks of H diagonal.
 
     Attributes:
         S: per sensor, (n c_i, d_i): U Λ^{-1/2} of N_ii (robust), a rotation of each complex pair (paper).
@@ -51,7 +53,7 @@ class Coordinates:
 def coordinates(plant: Plant, parts: Decomposition, form: str) -> Coordinates:
     channels = [plant.channels_of(i) for i in range(plant.n_sensors)]
     locals_ = np.array([c.start * plant.n for c in channels] + [plant.m * plant.n])
-    blocks = [slice(a, b) for a, b in zip(locals_[:-1], locals_[1:], strict=True)]
+    blocks = [slice(a, b) for a, b in pairwise(locals_)]
     if form == "robust":
         pairs = [_whiten(parts.N[s, s]) for s in blocks]
         groups = sensors = np.cumsum([0] + [S.shape[1] for S, _ in pairs])
@@ -77,7 +79,7 @@ def _whiten(N_ii: Float) -> tuple[Float, Float]:
 
 
 def _rotate(N_ii: Float, pair: Pair, n: int) -> tuple[Float, Float]:
-    """A rotation inside every complex pair that makes its 2 × 2 block of N diagonal; the norm is unchanged."""
+    """A rotation inside every complex pair that makes its 2 × 2 block of N diagonal and keeps the norm."""
     S = np.zeros_like(N_ii)
     for start in range(0, len(N_ii), n):
         for group in pair.groups:
@@ -90,7 +92,8 @@ def gamma_from_probability(coordinates: Coordinates, probability: float) -> Floa
     """γ_i with P(‖ν₀_i‖ ≤ γ_i for all i) ≥ probability when nobody lies: each gets the N-th root of it."""
     degrees = np.diff(coordinates.sensors)
     share = probability ** (1 / len(degrees))
-    return np.sqrt(chi2.ppf(share, np.maximum(degrees, 1)))
+    chi2_quantile = 2 * gammaincinv(np.maximum(degrees, 1) / 2, share)
+    return np.asarray(np.sqrt(chi2_quantile))
 
 
 def kernel_design(
@@ -154,9 +157,7 @@ def kernel_design(
 def _apply_right(F: Float, coordinates: Coordinates) -> Float:
     """F S."""
     starts = coordinates.locals_
-    return np.hstack(
-        [F[:, a:b] @ S for a, b, S in zip(starts[:-1], starts[1:], coordinates.S, strict=True)]
-    )
+    return np.hstack([F[:, a:b] @ S for a, b, S in zip(starts[:-1], starts[1:], coordinates.S, strict=True)])
 
 
 def _projection(plant: Plant, parts: Decomposition, coordinates: Coordinates) -> dict[str, Float]:

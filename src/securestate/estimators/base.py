@@ -6,14 +6,16 @@ check shapes, hand arrays over and give the results their names.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
-from securestate.errors import InputError, ShapeError
+from securestate.errors import InputError, SecurestateWarning, ShapeError
 from securestate.estimators.run import Run
 from securestate.plant import Belief, Plant
 
@@ -37,8 +39,8 @@ class Status(IntEnum):
 _ADVICE = {
     Status.OK: "The numbers mean what they say.",
     Status.NO_MEASUREMENT: "No channel arrived, so the estimate is a prediction. Check the connection.",
-    Status.NOT_CONVERGED: "The solver stopped at its cap; the diagnostic 'gap' says how far it is from the optimum.",
-    Status.ILL_CONDITIONED: "The sensors that are left do not determine the state. Treat the estimate as a guess.",
+    Status.NOT_CONVERGED: "The solver stopped at its cap; diagnostic 'gap' says how far it is from the end.",
+    Status.ILL_CONDITIONED: "The sensors that are left do not determine the state; the estimate is a guess.",
 }
 
 
@@ -88,6 +90,8 @@ class Estimator:
     plant: Plant
     settings: Mapping[str, object]
     kernel: _kernels.Kernel
+    #: Share of missing samples above which `run` warns that the method is the wrong tool; None = never.
+    missing_limit: float | None = None
 
     def __init__(self, plant: Plant, kernel: _kernels.Kernel, settings: Mapping[str, object]) -> None:
         self.plant = plant
@@ -186,7 +190,13 @@ def _floats(name: str, values: ArrayLike) -> Float:
 
 def _advance(bank: Filter, estimator: Estimator, y: Float, u: Float, *, covariance: bool, batch: bool) -> Run:
     """Run the kernel and name what it returns."""
-    arrays = bank.advance(y, u, y.shape[1], covariance)
+    missing = float(np.isnan(y).mean())
+    if estimator.missing_limit is not None and missing > estimator.missing_limit:
+        message = f"{missing:.0%} of the samples are missing; {estimator.name} is a steady-state filter"
+        warnings.warn(
+            f"{message}, use one that varies in time (KalmanFilter)", SecurestateWarning, stacklevel=3
+        )
+    arrays: dict[str, Any] = bank.advance(y, u, y.shape[1], covariance)
     if not batch:
         arrays = {name: array[0] for name, array in arrays.items()}
     numbers = arrays.pop("diagnostics")

@@ -62,9 +62,11 @@ class KalmanFilter(Estimator):
 
 
 def _kernel(plant: Plant, steady: SteadyState | None) -> _kernels.Kernel:
-    numbers = (plant.A, plant.B, plant.C, plant.D, plant.Q, plant.R)
+    A, B, C, D, Q, R = (
+        np.ascontiguousarray(M) for M in (plant.A, plant.B, plant.C, plant.D, plant.Q, plant.R)
+    )
     return _kernels.kalman(
-        *(np.ascontiguousarray(matrix) for matrix in numbers),
+        *(A, B, C, D, Q, R),
         plant.channel_sensor.tolist(),
         plant.n_sensors,
         None if steady is None else steady.P_prior,

@@ -69,7 +69,7 @@ class Run:
     @property
     def steps(self) -> int:
         """T, samples per run."""
-        return self.x.shape[-2]
+        return int(self.x.shape[-2])
 
     @property
     def runs(self) -> int | None:
@@ -99,9 +99,10 @@ class Run:
         def join(name: str) -> NDArray[Any]:
             return np.concatenate([getattr(block, name) for block in blocks], axis=axis)
 
+        arrays: dict[str, Any] = {name: join(name) for name in (*_AXES, "status")}
         return replace(
             first,
-            **{name: join(name) for name in (*_AXES, "status")},
+            **arrays,
             P=None if any(block.P is None for block in blocks) else join("P"),
             diagnostics={
                 name: np.concatenate([block.diagnostics[name] for block in blocks], axis=axis)
@@ -161,7 +162,7 @@ class Run:
     def _index(self) -> pd.Index[Any]:
         import pandas as pd
 
-        time = pd.Index(self._time(), name="time")
-        if self.runs is None:
-            return time
-        return pd.MultiIndex.from_product([range(self.runs), time], names=["run", "time"])
+        index: pd.Index[Any] = pd.Index(self._time(), name="time")
+        if self.runs is not None:
+            index = pd.MultiIndex.from_product([range(self.runs), index], names=["run", "time"])
+        return index

@@ -1,26 +1,27 @@
 """Sparse fusion: the Kalman filter as a sum of local estimates, fused so that a few liars cannot move it.
 
-    local filters     ζ_i(k+1) = T ζ_i(k) + b y_i(k+1)                                     (12)
-    decomposition     x̂ = Σ F_i ζ_i  is the Kalman filter                                  (11), Theorem 1
-    local errors      ε_i = G_i x − ζ_i,  Cov(ε) = W                                        (19), (29)
-    secure fusion     min ½ φᵀ W⁻¹ φ + γ ‖ϑ‖   subject to   ζ = G x − φ − ϑ                 (31)
+    local filters     ζ_i(k+1) = T ζ_i(k) + b y_i(k+1)                                 (12)
+    decomposition     x_kf = Σ F_i ζ_i  is the Kalman estimate                         (11), Theorem 1
+    local errors      ε_i = G_i x − ζ_i,  Cov(ε) = W                                    (19), (29)
+    secure fusion     min ½ φᵀ W⁻¹ φ + γ ‖ϑ‖   subject to   ζ = G x − φ − ϑ             (31)
 
 With x and φ eliminated, (31) is  min ½ fᵀ N f − ν₀ᵀ f + γ ‖f‖  with  ν₀ = −N ζ  and  x_s = F (ζ + f), where
-N = W⁻¹ − W⁻¹ G (Gᵀ W⁻¹ G)⁻¹ Gᵀ W⁻¹ and f is the estimate of ϑ. If f = 0 is optimal, x_s is the Kalman estimate.
+N = W⁻¹ − W⁻¹ G (Gᵀ W⁻¹ G)⁻¹ Gᵀ W⁻¹ and f is the estimate of ϑ. If f = 0 is optimal, x_s = x_kf.
 
 References:
-    Liu, Mo, Garone 2020, "Local Decomposition of Kalman Filters and Its Application for Secure State Estimation".
+    Liu, Mo, Garone 2020 (docs/bibliography.md: liu2020).
 Deviations from the paper, form="robust":
-    * (T, b) is the orthonormal Takenaka-Malmquist pair, not the Jordan form: W ≥ R ⊗ I always, for any n.
-    * Only modes of A with |μ| ≥ cut get a flat prior (a column of G). The others keep their stationary prior, so
-      that A may be singular and may share eigenvalues with A − K C A (no Assumption 1 or 2).
-    * One penalty per sensor, γ_i ‖f_i‖ in the metric N_ii, instead of one per element: independent of the basis.
-    * γ_i is chosen from the probability that the answer is the Kalman estimate (Theorem 3 asks for ‖ν₀‖ ≤ γ;
-      Cov ν₀ = N exactly, so the dual norm of sensor i is χ² with as many degrees of freedom as N_ii has rank).
-    * Refit: sensors with ‖f_i‖ > 3 lose their penalty, largest first, and the rest is solved again. This removes
-      the shrinkage of the LASSO; at most as many sensors as can be outvoted, ⌊(N − 1) / 2⌋.
-    * Attack estimate: least squares in the metric N_ii, which is divided by bᵀ N_ii b.
-form="paper" is (31) as printed. Complex eigenvalues appear as real 2 × 2 blocks, an exact change of coordinates.
+    * (T, b) is the orthonormal Takenaka-Malmquist pair, not the Jordan form: W ≥ R ⊗ I for any n.
+    * Only modes of A with |μ| ≥ 0.999 get a flat prior (a column of G). The others keep their stationary
+      prior, so A may be singular and may share eigenvalues with A − K C A (no Assumption 1 or 2).
+    * One penalty per sensor, γ_i ‖f_i‖ in the metric N_ii, not one per element: independent of the basis.
+    * γ_i is chosen from the probability that the answer is the Kalman estimate. Theorem 3 asks for dual
+      norms of ν₀ up to γ; Cov ν₀ = N, so that of sensor i is χ² with as many degrees as N_ii has rank.
+    * Refit: sensors with ‖f_i‖ > 3 lose their penalty, largest first, and the rest is solved again. This
+      removes the shrinkage of the LASSO; at most ⌊(N − 1) / 2⌋ sensors, as many as can be outvoted.
+    * Attack estimate: −(bᵀ N_ii b)⁻¹ bᵀ N_ii (f_i(k) − T f_i(k−1)), least squares in the metric N_ii.
+    * A reading further than 10¹² standard deviations from its prediction is held at that distance.
+form="paper" is (31) as printed. Complex eigenvalues appear as real 2 × 2 blocks, an exact change of basis.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ from securestate.plant import Plant
 
 Float = NDArray[np.float64]
 
-#: Modes at least this slow get a flat prior in the robust form; the later values are for plants that need more.
+#: Modes at least this slow get a flat prior in the robust form; later values are for plants that need more.
 CUTS = (0.999, 0.99, 0.95, 0.8, 0.5, 0.0)
 #: Largest variance of a local error, in units of its measurement noise, for which a cut is accepted at once.
 SPREAD_LIMIT = 1e10
@@ -97,8 +98,8 @@ class Decomposition:
 class SparseFusion(Estimator):
     """Secure state estimation by sparse fusion of local Kalman estimates (Liu, Mo, Garone).
 
-    Equals the Kalman filter with probability `kalman_probability` per sample when nobody lies, and stays near it
-    while a minority of sensors sends anything at all. For time-invariant plants.
+    Equals the Kalman filter with probability `kalman_probability` per sample when nobody lies, and stays near
+    it while a minority of sensors lies, within the limits of the installation. For time-invariant plants.
 
     Args:
         plant: the plant; (A, C) detectable, process noise in every mode on the unit circle.
@@ -113,8 +114,8 @@ class SparseFusion(Estimator):
         InputError: a setting is out of range.
 
     Notes:
-        A missing channel is filled with its prediction and its sensor is left out for that sample. Above about
-        10 % missing samples use a time-varying filter (`run` warns).
+        A missing channel is filled with its prediction and its sensor is left out for that sample, its trust
+        is NaN. Above about 10 % missing samples use a time-varying filter (`run` warns).
         `Run.trust` is 1 / (1 + (‖f_i‖ / 3)²), with ‖f_i‖ the accusation in standard deviations; a sensor is
         suspected when it falls below one half. `Run.P` is the covariance without the sensors in use by f.
         NOT_CONVERGED: the relative duality gap stayed above 1e-9. ILL_CONDITIONED: the sensors that are not
@@ -129,6 +130,7 @@ class SparseFusion(Estimator):
         [False False  True] True
     """
 
+    #: Share of missing samples above which `run` warns.
     missing_limit = MISSING_LIMIT
     decomposition: Decomposition
 
@@ -172,6 +174,10 @@ class SparseFusion(Estimator):
 def _check_settings(
     plant: Plant, form: str, probability: float | None, gamma: float | NDArray[np.float64] | None
 ) -> None:
+    if plant.time_varying:
+        raise DesignError(
+            "sparse fusion needs a time-invariant plant", "use KalmanFilter for A or C that change"
+        )
     if form not in ("robust", "paper"):
         raise InputError("form", '"robust" or "paper"', repr(form))
     if probability is not None and gamma is not None:
@@ -185,7 +191,9 @@ def _check_settings(
         if not np.all(np.isfinite(values)) or np.any(values <= 0):
             raise InputError("gamma", "finite numbers > 0", repr(gamma))
         if values.ndim and (form == "paper" or values.shape != (plant.n_sensors,)):
-            raise InputError("gamma", f"a number, or shape ({plant.n_sensors},) in robust form", f"{values.shape}")
+            raise InputError(
+                "gamma", f"a number, or shape ({plant.n_sensors},) in robust form", f"{values.shape}"
+            )
 
 
 def _robust(plant: Plant) -> Decomposition:
