@@ -11,6 +11,7 @@ minutes.
 last line is a lie of two sensors together.
 """
 
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -48,10 +49,8 @@ def main() -> None:
         right = [successes(estimator, runs, i, size) for size in SIZES]
         counts = " ".join(f"{count:>5}" for count in right)
         print(f"{plant.sensor_names[i]:<36} {counts} {max(shares[i], 0.0):>13.0%}", flush=True)
-    print(
-        f"\n{' and '.join(TOGETHER)}, both by {BOTH:g} kPa gauge: the right two, and only they, are named in"
-    )
-    print(f"{together(estimator, runs)} of {len(runs)} runs.")
+    print(f"\n{' and '.join(TOGETHER)}, both by {BOTH:g} kPa gauge; named in how many of {len(runs)} runs:")
+    print("  " + ", ".join(f"{name} {count}" for name, count in together(estimator, runs).most_common()))
 
 
 def vouched(plant: Plant, runs: list[Array], i: int) -> float:
@@ -65,17 +64,15 @@ def vouched(plant: Plant, runs: list[Array], i: int) -> float:
     return float(1 - left / np.sum((sent - plant.offset[i]) ** 2))
 
 
-def together(estimator: SparseFusion, runs: list[Array]) -> int:
-    """Count the runs in which two sensors that tell the same lie are named, and nobody else."""
-    plant = estimator.plant
-    both = [plant.channel_names.index(channel) for channel in TOGETHER]
-    expected = tuple(plant.sensor_names[i] for i in both)
-    count = 0
+def together(estimator: SparseFusion, runs: list[Array]) -> Counter[str]:
+    """Count how often each sensor is named when two tell the same lie."""
+    both = [estimator.plant.channel_names.index(channel) for channel in TOGETHER]
+    named: Counter[str] = Counter()
     for y in runs:
         false = y.copy()
         false[START:, both] += BOTH
-        count += liars(estimator, false) == expected
-    return count
+        named.update(liars(estimator, false))
+    return named
 
 
 def successes(estimator: SparseFusion, runs: list[Array], i: int, size: float) -> int:
