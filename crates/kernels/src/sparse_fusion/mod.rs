@@ -17,6 +17,10 @@ use crate::penalty::{Outcome, Problem, SOLVED};
 use crate::projection::Projection;
 use crate::{Error, Result, group_lasso, lasso};
 
+/// A reading further from its prediction than this many standard deviations is held at that distance: more would
+/// only cost digits.
+const SATURATION: f64 = 1e12;
+
 /// The estimator.
 #[derive(Debug, Clone)]
 pub struct SparseFusion {
@@ -55,6 +59,8 @@ struct Scratch {
     square_2: Vec<f64>,
     factor: Vec<f64>,
     half: Vec<f64>,
+    shrinkage: Vec<f64>,
+    used: usize,
     support: Vec<usize>,
     missing: Vec<bool>,
     solver: Solver,
@@ -98,8 +104,10 @@ impl SparseFusion {
             square: vec![0.0; n * n],
             square_2: vec![0.0; n * n],
             factor: vec![0.0; reserved * reserved],
-            half: vec![0.0; reserved * n],
-            support: Vec::with_capacity(d),
+            half: vec![0.0; 2 * reserved],
+            shrinkage: vec![0.0; n],
+            used: 0,
+            support: Vec::with_capacity(self.m.gamma.len()),
             missing: vec![false; self.m.dims.channels],
             solver: if self.element_wise {
                 Solver::Elements(lasso::Workspace::new(d))
@@ -110,6 +118,7 @@ impl SparseFusion {
     }
 
     /// Correct the local filters with y (12); a missing channel is filled with its prediction. Returns how many came.
+    #[allow(clippy::needless_range_loop)] // i is a row of six arrays
     fn correct(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> usize {
         let m = &self.m;
         let (n, p, others) = (m.dims.states, m.dims.inputs, state.x_s.len());
@@ -121,7 +130,8 @@ impl SparseFusion {
             state.scratch.missing[i] = missing;
             out.innovation[i] = y[i] - expected;
             out.innovation_std[i] = m.innovation_std[i];
-            let value = if missing { expected } else { y[i] };
+            let reach = SATURATION * m.innovation_std[i];
+            let value = if missing { expected } else { y[i].clamp(expected - reach, expected + reach) };
             let explained = dot(&m.c_s[i * others..(i + 1) * others], &state.x_s);
             axpy(value - through - explained, &m.drive, &mut state.zeta[i * n..(i + 1) * n]);
             arrived += usize::from(!missing);
