@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+
+import numpy as np
 
 from securestate._results import check_folder, check_result_path
 from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design
-from securestate.errors import InputError
+from securestate.errors import InputError, SecurestateWarning
 from securestate.estimators import Estimator, Run
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Plant
@@ -51,10 +54,11 @@ def run_order(order: Order) -> Exit:
     estimator = design(plant, order.method, order.choices)
     with console.progress(len(data.y), quiet=order.quiet) as advance:
         run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
-    written = _write(run, data, order)
+    said = remarks(data, estimator)
+    written = _write(run, said, order)
     summary = summarise(run)
     if not order.quiet:
-        console.show_summary(run, summary, remarks(data), written)
+        console.show_summary(run, summary, said, written)
     return Exit.SUSPECTED if summary.liars and not order.exit_zero else Exit.CLEAN
 
 
@@ -67,14 +71,19 @@ def run_in_blocks(
     for start in range(0, len(data.y), BLOCK):
         rows = slice(start, start + BLOCK)
         u = None if data.u is None else data.u[rows]
-        blocks.append(live.run(data.y[rows], u, covariance=covariance))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SecurestateWarning)  # `remarks` says it about the whole file
+            blocks.append(live.run(data.y[rows], u, covariance=covariance))
         advance(len(blocks[-1].status))
     return Run.concat(blocks).with_time(data.time)
 
 
-def remarks(data: Measurements) -> list[str]:
+def remarks(data: Measurements, estimator: Estimator) -> list[str]:
     """Say in sentences what was done to the file's rows and columns."""
     said = []
+    missing = float(np.isnan(data.y).mean())
+    if estimator.missing_limit is not None and missing > estimator.missing_limit:
+        said.append(f"{missing:.0%} of the samples are missing: --method kalman suits this file better.")
     if data.time is None:
         said.append("The file has no time column: its rows are taken as consecutive samples.")
     if data.gaps:
@@ -120,11 +129,11 @@ def _keep_inputs(order: Order) -> None:
             raise InputError(name, f"another file than {taken[path.resolve()]}", repr(str(path)))
 
 
-def _write(run: Run, data: Measurements, order: Order) -> list[Path]:
+def _write(run: Run, said: list[str], order: Order) -> list[Path]:
     written = []
     if order.out is not None:
         write_run(run, order.out)
         written.append(order.out)
     if order.report is not None:
-        written.append(write_report(run, order.report, source=order.data.name, notes=remarks(data)))
+        written.append(write_report(run, order.report, source=order.data.name, notes=said))
     return written
