@@ -25,7 +25,7 @@ Float = NDArray[np.float64]
 
 #: ‖f_i‖ above which a sensor is suspected, in standard deviations of its own information.
 SUSPICION = 3.0
-#: Eigenvalues of N_ii below this share of the largest count as zero: nobody else sees that direction.
+#: Eigenvalues of N_ii below this share of its bound R_ii⁻¹ count as zero: nobody else sees that direction.
 RANK_TOLERANCE = 1e-10
 
 
@@ -55,8 +55,10 @@ def coordinates(plant: Plant, parts: Decomposition, form: str) -> Coordinates:
     locals_ = np.array([c.start * plant.n for c in channels] + [plant.m * plant.n])
     blocks = [slice(a, b) for a, b in pairwise(locals_)]
     if form == "robust":
-        pairs = [_whiten(parts.N[s, s]) for s in blocks]
-        groups = sensors = np.cumsum([0] + [S.shape[1] for S, _ in pairs])
+        bounds = [np.linalg.norm(parts.weights.precision[c, c], 2) for c in channels]
+        pairs = [_whiten(parts.N[s, s], float(top)) for s, top in zip(blocks, bounds, strict=True)]
+        sensors = np.cumsum([0] + [S.shape[1] for S, _ in pairs])
+        groups = np.unique(sensors)  # a sensor that nobody can check has no elements and no group
     else:
         pairs = [_rotate(parts.N[s, s], parts.pair, plant.n) for s in blocks]
         sensors = locals_
@@ -70,10 +72,10 @@ def coordinates(plant: Plant, parts: Decomposition, form: str) -> Coordinates:
     return Coordinates([S for S, _ in pairs], [I for _, I in pairs], groups, sensors, locals_, (H + H.T) / 2)
 
 
-def _whiten(N_ii: Float) -> tuple[Float, Float]:
-    """U Λ^{-1/2} and Λ^{1/2} Uᵀ over the directions that other sensors can check."""
+def _whiten(N_ii: Float, bound: float) -> tuple[Float, Float]:
+    """U Λ^{-1/2} and Λ^{1/2} Uᵀ over the directions that other sensors can check; N_ii ≤ bound."""
     values, U = np.linalg.eigh(N_ii)
-    keep = values > RANK_TOLERANCE * values[-1]
+    keep = values > RANK_TOLERANCE * bound
     root = np.sqrt(values[keep])
     return U[:, keep] / root, (U[:, keep] * root).T
 
@@ -89,10 +91,10 @@ def _rotate(N_ii: Float, pair: Pair, n: int) -> tuple[Float, Float]:
 
 
 def gamma_from_probability(coordinates: Coordinates, probability: float) -> Float:
-    """γ_i with P(‖ν₀_i‖ ≤ γ_i for all i) ≥ probability when nobody lies: each gets the N-th root of it."""
-    degrees = np.diff(coordinates.sensors)
-    share = probability ** (1 / len(degrees))
-    chi2_quantile = 2 * gammaincinv(np.maximum(degrees, 1) / 2, share)
+    """γ_j with P(‖ν₀_j‖ ≤ γ_j for all j) ≥ probability when nobody lies: each gets the N-th root of it."""
+    degrees = np.diff(coordinates.groups)
+    share = probability ** (1 / max(1, len(degrees)))
+    chi2_quantile = 2 * gammaincinv(degrees / 2, share)
     return np.asarray(np.sqrt(chi2_quantile))
 
 

@@ -158,7 +158,8 @@ class SparseFusion(Estimator):
                 kalman_probability = 0.95 if kalman_probability is None else kalman_probability
                 gammas = gamma_from_probability(axes, kalman_probability)
             else:
-                gammas = np.broadcast_to(np.asarray(gamma, dtype=np.float64), (plant.n_sensors,))
+                checked = np.diff(axes.sensors) > 0
+                gammas = np.broadcast_to(np.asarray(gamma, dtype=np.float64), (plant.n_sensors,))[checked]
         else:
             gammas = np.asarray(gamma) * np.sqrt(np.diff(axes.groups))
         settings = {

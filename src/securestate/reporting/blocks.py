@@ -13,6 +13,7 @@ from securestate.reporting.summary import Summary
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
+    from securestate.plant import Plant
 
 BOUND = 3.0
 """Normalised innovations beyond ± BOUND are rare (0.27 %) when the model holds and nobody lies."""
@@ -51,6 +52,19 @@ def normalised_innovation(run: Run) -> NDArray[np.float64]:
     return ratio
 
 
+def channel_labels(plant: Plant) -> list[str]:
+    """What a channel is called in charts: the only channel of a sensor goes by the sensor's name."""
+    alone = np.bincount(plant.channel_sensor, minlength=plant.n_sensors) == 1
+    owners = zip(plant.channel_names, plant.channel_sensor, strict=True)
+    return [plant.sensor_names[owner] if alone[owner] else name for name, owner in owners]
+
+
+def channel_noise(plant: Plant) -> NDArray[np.float64]:
+    """Standard deviation of the measurement noise of every channel, (m,), file units."""
+    noise: NDArray[np.float64] = plant.scale * np.sqrt(np.diagonal(plant.R))
+    return noise
+
+
 def diagnostics(run: Run) -> dict[str, NDArray[np.float64]]:
     """The diagnostics as they are drawn, by title; the gap as a power of ten."""
     drawn = {}
@@ -71,8 +85,10 @@ def manifest(run: Run, summary: Summary, clock: Clock, blocks: Packed) -> dict[s
         "bound": BOUND,
         "sensors": [{"name": s.name, "lies": s.lies, "share": s.suspected} for s in summary.sensors],
         "channels": [
-            {"name": name, "unit": unit, "sensor": int(owner)}
-            for name, unit, owner in zip(plant.channel_names, plant.units, plant.channel_sensor, strict=True)
+            {"label": label, "unit": unit, "sensor": int(owner), "noise": float(noise)}
+            for label, unit, owner, noise in zip(
+                channel_labels(plant), plant.units, plant.channel_sensor, channel_noise(plant), strict=True
+            )
         ],
         "states": list(plant.state_names),
         "diagnostics": list(diagnostics(run)),

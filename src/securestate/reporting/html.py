@@ -21,12 +21,12 @@ from securestate.reporting import tables
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
 from securestate.reporting.payload import pack_bytes
-from securestate.reporting.summary import Summary, summarise
+from securestate.reporting.summary import Summary, enumerate_names, summarise
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
 
-SCRIPTS = ("data.js", "charts.js", "report.js")
+SCRIPTS = ("data.js", "charts.js", "heatmaps.js", "sections.js", "report.js")
 
 
 def write_report(
@@ -74,7 +74,7 @@ def render(
         style=_asset("report.css"),
         script=script,
         title=escape(title or f"Sensor report: {summary.plant}".removesuffix(": ")),
-        verdict=escape(summary.verdict),
+        verdict=tables.headline(summary),
         tone="alarm" if summary.liars else "calm",
         remarks=_paragraphs([*_remarks(summary), *notes]),
         facts=tables.facts(run, summary, clock, source),
@@ -90,7 +90,7 @@ def _remarks(summary: Summary) -> list[str]:
     silent = tuple(s.name for s in summary.sensors if s.missing == 1.0)
     remarks = []
     if silent:
-        remarks.append(f"Sent nothing during the whole run: {tables.enumerate_names(silent)}.")
+        remarks.append(f"Sent nothing during the whole run: {enumerate_names(silent)}.")
     if all(s.first_alarm is None for s in summary.sensors) and summary.estimator == "KalmanFilter":
         remarks.append("KalmanFilter trusts every sensor: it does not look for liars.")
     bad = sum(s.count for s in summary.statuses if s.name != "OK")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -98,10 +99,14 @@ class Summary:
             >>> Summary("", "SparseFusion", 9, (), (), None, None, None).verdict
             'No sensor is suspected.'
         """
+        return self.verdict_with(str)
+
+    def verdict_with(self, mark: Callable[[str], str]) -> str:
+        """The verdict with every name in it as `mark` gives it, for instance as HTML."""
         liars = self.liars
         if liars:
             count = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
-            return f"{count}: {enumerate_names(liars)}."
+            return f"{count}: {enumerate_names(tuple(map(mark, liars)))}."
         if any(s.first_alarm for s in self.sensors):
             return "No sensor lies persistently; there are isolated alarms."
         return "No sensor is suspected."

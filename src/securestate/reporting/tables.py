@@ -4,22 +4,19 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
-import numpy as np
-
+from securestate.reporting.blocks import channel_noise
 from securestate.reporting.clock import Clock
-from securestate.reporting.summary import Moment, SensorSummary, Summary, enumerate_names
+from securestate.reporting.summary import Moment, SensorSummary, Summary
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
 
-__all__ = ["enumerate_names", "facts", "plant", "sensors", "statuses"]
-
-SHOWN = 12
-"""Sensors beyond this many rows are folded away, unless they lie or sent nothing."""
+HEAD = ("Sensor", "Verdict", "Suspected", "Lies since", "First alarm", "Estimated injection", "Missing")
 
 
 def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[str] | None) -> str:
@@ -41,23 +38,56 @@ def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
 
 
+def headline(summary: Summary) -> str:
+    """The verdict; every name in it stays in one piece where the page is wide enough."""
+    return summary.verdict_with(_unbroken)
+
+
+def _unbroken(name: str) -> str:
+    """A name as one piece, and a number in it never apart from the word it numbers.
+
+    Examples:
+        >>> _unbroken("XMEAS 11 separator <temperature>") == "<span>XMEAS\\u00a011 separator &lt;temperature&gt;</span>"
+        True
+    """
+    return f"<span>{escape(re.sub(r' (?=[0-9])', chr(0xA0), name))}</span>"
+
+
 def sensors(summary: Summary, clock: Clock) -> str:
-    """One row per sensor, liars first; a long tail of sensors that do not lie is folded away."""
-    ranked = sorted(summary.sensors, key=lambda s: (not s.lies, s.missing < 1.0, -s.suspected))
-    head = ("Sensor", "Verdict", "Suspected", "Lies since", "First alarm", "Estimated injection", "Missing")
-    rows = [_sensor_row(s, head, clock) for s in ranked]
-    notable = sum(s.lies or s.missing == 1.0 for s in ranked)
-    cut = len(rows) if len(rows) <= SHOWN + 3 else max(notable, SHOWN)
-    table = _table(head, rows[:cut])
-    if cut == len(rows):
-        return table
-    label = f"{len(rows) - cut} more sensors that do not lie"
-    return f"{table}<details><summary>{label}</summary>{_table(head, rows[cut:])}</details>"
+    """A table of the sensors there is something to say about, liars first; the others are listed below it."""
+    ranked = sorted(summary.sensors, key=lambda s: (not s.lies, s.missing < 1.0, -s.suspected, -s.missing))
+    told = [s for s in ranked if s.first_alarm is not None or s.missing > 0]
+    quiet = [s for s in ranked if s.first_alarm is None and s.missing == 0]
+    return _notable(told, clock) + _quiet(quiet, everyone=not told)
 
 
-def _sensor_row(s: SensorSummary, head: Sequence[str], clock: Clock) -> str:
-    cells = (
-        escape(s.name) + (' <span class="tag">protected</span>' if s.protected else ""),
+def _notable(told: Sequence[SensorSummary], clock: Clock) -> str:
+    """One row per sensor, without the columns in which nobody has an entry."""
+    cells = [_sensor_cells(s, clock) for s in told]
+    used = [k for k in range(len(HEAD)) if any(row[k] for row in cells)]
+    head = [HEAD[k] for k in used]
+    rows = [
+        _row(head, [row[k] for k in used], "liar" if s.lies else "") for s, row in zip(told, cells, strict=True)
+    ]
+    return _table(head, rows) if rows else ""
+
+
+def _quiet(quiet: Sequence[SensorSummary], *, everyone: bool) -> str:
+    if not quiet:
+        return ""
+    label = f"No alarm from {'any sensor' if everyone else _count(len(quiet), 'other sensor')}"
+    ends = [","] * (len(quiet) - 1) + ["."]
+    names = " ".join(f"<span>{_name(s)}{end}</span>" for s, end in zip(quiet, ends, strict=True))
+    return f'<p class="quiet"><b>{label}:</b> {names}</p>'
+
+
+def _name(s: SensorSummary) -> str:
+    return escape(s.name) + (' <span class="tag">protected</span>' if s.protected else "")
+
+
+def _sensor_cells(s: SensorSummary, clock: Clock) -> tuple[str, ...]:
+    return (
+        _name(s),
         f'<span class="verdict-{_verdict(s).replace(" ", "-")}">{_verdict(s)}</span>',
         _share(s.suspected),
         _moment(s.since, clock),
@@ -65,7 +95,6 @@ def _sensor_row(s: SensorSummary, head: Sequence[str], clock: Clock) -> str:
         "<br>".join(_known_injections(s)),
         _share(s.missing),
     )
-    return _row(head, cells, "liar" if s.lies else "")
 
 
 def _verdict(s: SensorSummary) -> str:
@@ -120,10 +149,11 @@ def measured(value: float, spread: float) -> str:
 
 
 def statuses(summary: Summary) -> str:
-    """Counts and advice per status, and the solver's figures."""
+    """Counts and advice per status, and the solver's figures; room for a chart if any is not OK."""
     head = ("Status", "Samples", "What to do")
     rows = ((_key(s.name), f"{s.count:,}", escape(s.advice)) for s in summary.statuses)
-    return f"{_plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>"
+    chart = "" if all(s.name == "OK" for s in summary.statuses) else '<div class="plot"></div>'
+    return f"{_plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>{chart}"
 
 
 def _key(status: str) -> str:
@@ -144,7 +174,7 @@ def _solver(summary: Summary) -> list[str]:
 def plant(run: Run) -> str:
     """Sensors with units, operating point and noise; inputs; settings of the estimator."""
     p = run.plant
-    noise = p.scale * np.sqrt(np.diagonal(p.R))
+    noise = channel_noise(p)
     head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
     rows = (
         (

@@ -66,6 +66,13 @@ struct Scratch {
     solver: Solver,
 }
 
+/// How the fusion of one sample went.
+struct Fusion {
+    outcome: Outcome,
+    fast: bool,
+    determined: bool,
+}
+
 #[derive(Debug, Clone)]
 enum Solver {
     Elements(lasso::Workspace),
@@ -140,40 +147,56 @@ impl SparseFusion {
     }
 
     /// Problem (31) in the coordinates g: fast path, solve, refit. `state.g` out.
-    fn fuse(&self, state: &mut State) -> (Outcome, bool) {
+    fn fuse(&self, state: &mut State) -> Fusion {
         let m = &self.m;
         let scratch = &mut state.scratch;
         self.projection.apply(&state.zeta, &mut scratch.nu, &mut scratch.projection);
         scratch.gamma.copy_from_slice(&m.gamma);
-        for (i, &sensor) in m.channel_sensor.iter().enumerate() {
-            if scratch.missing[i] {
-                free(&mut scratch.gamma, &m.groups, self.elements_of(sensor));
-            }
-        }
+        let mut determined = self.free_missing(scratch);
         let absent = self.freed(&scratch.gamma);
         if absent == 0 && self.problem(&scratch.nu, &scratch.gamma, 0.0).zero_is_optimal() {
             state.g.fill(0.0);
-            return (Outcome::default(), true);
+            return Fusion { outcome: Outcome::default(), fast: true, determined };
         }
         let seats = m.refit.min((m.dims.sensors - absent).saturating_sub(1) / 2);
         let energy = self.projection.energy(&state.zeta, &scratch.nu, &mut scratch.projection);
-        let mut iterations = 0;
+        let mut outcome = Outcome::default();
         loop {
             let problem = self.problem(&scratch.nu, &scratch.gamma, energy);
-            let outcome = match &mut scratch.solver {
+            let solved = match &mut scratch.solver {
                 Solver::Elements(ws) => lasso::solve(&problem, &mut state.g, ws),
                 Solver::Groups(ws) => group_lasso::solve(&problem, &mut state.g, ws),
             };
-            iterations += outcome.iterations;
+            outcome = Outcome { iterations: outcome.iterations + solved.iterations, gap: solved.gap };
             let seat_left = self.freed(&scratch.gamma) < absent + seats;
-            match self.accused(&state.g, &scratch.gamma).filter(|_| seat_left) {
-                Some(sensor) => free(&mut scratch.gamma, &m.groups, self.elements_of(sensor)),
-                None => {
-                    let gap = outcome.gap;
-                    return (Outcome { iterations, gap }, false);
-                }
+            let Some(sensor) = self.accused(&state.g, &scratch.gamma).filter(|_| seat_left) else { break };
+            let elements = self.elements_of(sensor);
+            free(&mut scratch.gamma, &m.groups, elements.clone());
+            if !self.free_sensors_are_determined(scratch) {
+                restore(&mut scratch.gamma, m, elements);
+                determined = false;
+                break;
             }
         }
+        if !outcome.gap.is_finite() || state.g.iter().any(|v| !v.is_finite()) {
+            state.g.fill(0.0);
+            outcome.gap = f64::INFINITY;
+        }
+        Fusion { outcome, fast: false, determined }
+    }
+
+    /// Sensors with a missing channel lose their penalty, unless the others cannot do without them.
+    fn free_missing(&self, scratch: &mut Scratch) -> bool {
+        for (i, &sensor) in self.m.channel_sensor.iter().enumerate() {
+            if scratch.missing[i] {
+                free(&mut scratch.gamma, &self.m.groups, self.elements_of(sensor));
+            }
+        }
+        let determined = self.free_sensors_are_determined(scratch);
+        if !determined {
+            scratch.gamma.copy_from_slice(&self.m.gamma);
+        }
+        determined
     }
 
     fn problem<'a>(&'a self, linear: &'a [f64], gamma: &'a [f64], energy: f64) -> Problem<'a> {
@@ -313,27 +336,27 @@ impl Estimator for SparseFusion {
         let arrived = self.correct(state, y, u, out) > 0;
         self.track_covariance(state, arrived);
         state.g_before.copy_from_slice(&state.g);
-        let (outcome, fast) = if arrived {
+        let fusion = if arrived {
             self.fuse(state)
         } else {
             state.g.fill(0.0);
-            (Outcome::default(), false)
+            Fusion { outcome: Outcome::default(), fast: false, determined: true }
         };
         if arrived {
             gemv(&self.m.fusion, &state.zeta, out.x);
             add_gemv(&self.m.v_s, &state.x_s, out.x);
-            if !fast {
+            if !fusion.fast {
                 add_gemv(&self.m.fusion_g, &state.g, out.x);
             }
         } else {
             out.x.copy_from_slice(&state.predicted);
         }
-        let determined = self.covariance(state, out);
+        let determined = self.covariance(state, out) && fusion.determined;
         self.judge(state, out);
-        out.diagnostics[0] = f64::from(u8::from(fast));
-        out.diagnostics[1] = outcome.iterations as f64;
-        out.diagnostics[2] = outcome.gap;
-        *out.status = match (arrived, determined, outcome.gap <= SOLVED) {
+        out.diagnostics[0] = f64::from(u8::from(fusion.fast));
+        out.diagnostics[1] = fusion.outcome.iterations as f64;
+        out.diagnostics[2] = fusion.outcome.gap;
+        *out.status = match (arrived, determined, fusion.outcome.gap <= SOLVED) {
             (false, _, _) => Status::NoMeasurement,
             (_, false, _) => Status::IllConditioned,
             (_, _, false) => Status::NotConverged,
@@ -384,6 +407,15 @@ fn free(gamma: &mut [f64], groups: &[usize], elements: Range<usize>) {
     for (value, &start) in gamma.iter_mut().zip(groups) {
         if elements.contains(&start) {
             *value = 0.0;
+        }
+    }
+}
+
+/// Give every penalty group among these elements its penalty back.
+fn restore(gamma: &mut [f64], m: &Matrices, elements: Range<usize>) {
+    for ((value, own), start) in gamma.iter_mut().zip(&m.gamma).zip(&m.groups) {
+        if elements.contains(start) {
+            *value = *own;
         }
     }
 }

@@ -36,6 +36,25 @@ impl SparseFusion {
         determined
     }
 
+    /// Whether the sensors with a penalty determine what the free ones inject: H on the free ones is regular.
+    pub(super) fn free_sensors_are_determined(&self, scratch: &mut Scratch) -> bool {
+        let groups = &self.m.groups;
+        scratch.support.clear();
+        scratch.support.extend((0..self.m.gamma.len()).filter(|&j| scratch.gamma[j] == 0.0));
+        let d = self.elements();
+        let k: usize = scratch.support.iter().map(|&j| groups[j + 1] - groups[j]).sum();
+        if scratch.factor.len() < k * k {
+            scratch.factor.resize(k * k, 0.0);
+            scratch.half.resize(2 * k, 0.0);
+        }
+        for (row, i) in elements(groups, &scratch.support).enumerate() {
+            for (column, j) in elements(groups, &scratch.support).enumerate().take(row + 1) {
+                scratch.factor[row * k + column] = self.m.hessian[i * d + j];
+            }
+        }
+        cholesky(&mut scratch.factor, k, k, UNDETERMINED).is_ok()
+    }
+
     /// The groups in use, and the Cholesky factor of J. False if J is singular.
     fn collect_support(&self, g: &[f64], scratch: &mut Scratch) -> bool {
         let (groups, d) = (&self.m.groups, self.elements());
@@ -134,6 +153,11 @@ impl SparseFusion {
         let distance = m.p.iter().zip(&state.p).fold(0.0_f64, |a, (p, q)| a.max((p - q).abs()));
         state.transient = distance > STEADY * largest;
     }
+}
+
+/// Elements of these groups, in order.
+fn elements(groups: &[usize], support: &[usize]) -> impl Iterator<Item = usize> {
+    support.iter().flat_map(|&j| groups[j]..groups[j + 1])
 }
 
 /// Second derivative γ/‖g‖ (I − g gᵀ/‖g‖²) of the penalty of one group.

@@ -1,22 +1,38 @@
 "use strict";
-// The charts: one function per chart, from the visible window to a plotly figure.
+// What every chart shares: colours, names cut to measure, time axis, layout; and line panels in a grid.
 
-const LINE_POINTS = 2000;
 const PHONE = matchMedia("(max-width: 700px)");
+const FONT = "system-ui, -apple-system, Segoe UI, Roboto, sans-serif";
+const NAME_SIZE = 11, TITLE_SIZE = 12;
 
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 /** plotly reads a little HTML in its texts; names come from files. */
 const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
-const cut = (text, most) => plain(text.length > most ? text.slice(0, most - 1) + "…" : text);
-const short = (text) => cut(text, PHONE.matches ? 11 : 24);
 const tone = (text, colour) => `<span style="color:${colour}">${text}</span>`;
 const withUnit = (name, unit) => (unit ? `${name} (${unit})` : name);
+const figures = (value) => String(Number(value.toPrecision(3))).replace("-", "−");
 
-/** Room for the names on the left; the same in every chart, so that their time axes stand in line. */
-function leftMargin() {
-  const names = [...MANIFEST.sensors, ...MANIFEST.channels].map((n) => n.name.length);
-  return 22 + 6.6 * Math.min(Math.max(6, ...names), PHONE.matches ? 11 : 24);
+const ruler = document.createElement("canvas").getContext("2d");
+function textWidth(text, size) {
+  ruler.font = `${size}px ${FONT}`;
+  return ruler.measureText(text).width;
 }
+
+/** A text that fits into `room` pixels; what has no room is cut out of its middle. */
+function fit(text, room, size) {
+  if (textWidth(text, size) <= room) return plain(text);
+  let kept = text.length - 1;
+  const cut = () => `${text.slice(0, Math.ceil(kept / 2)).trimEnd()}…${text.slice(text.length - Math.floor(kept / 2)).trimStart()}`;
+  while (kept > 2 && textWidth(cut(), size) > room) kept--;
+  return plain(cut());
+}
+
+/** Room for the names left of heat maps; the same for all, so that their time axes stand in line. */
+function nameRoom(width) {
+  const names = [...MANIFEST.sensors.map((s) => s.name), ...MANIFEST.channels.map((c) => c.label), "status"];
+  return Math.ceil(Math.min(0.3 * width, Math.max(30, ...names.map((n) => textWidth(n, NAME_SIZE)))));
+}
+const leftMargin = (width) => (PHONE.matches ? 8 : nameRoom(width) + 16);
 
 const DATE_TICKS = [
   { dtickrange: [null, 60000], value: "%H:%M:%S\n%Y-%m-%d" },
@@ -24,7 +40,7 @@ const DATE_TICKS = [
   { dtickrange: [86400000, null], value: "%Y-%m-%d" },
 ];
 
-function timeAxis(view, clock) {
+function timeAxis(view, clock, ticks) {
   const titles = { date: "", sample: "sample", s: "time (s)", min: "time (min)", h: "time (h)", d: "time (d)" };
   return {
     type: clock.unit === "date" ? "date" : "linear",
@@ -32,17 +48,17 @@ function timeAxis(view, clock) {
     title: { text: titles[clock.unit], standoff: 6, font: { size: 11 } },
     hoverformat: clock.unit === "date" ? "%Y-%m-%d %H:%M:%S" : ".7~g",
     tickformatstops: clock.unit === "date" ? DATE_TICKS : [],
-    nticks: PHONE.matches ? 4 : 10,
+    nticks: ticks,
     gridcolor: css("line"), zeroline: false, linecolor: css("line"), ticks: "outside", tickcolor: css("line"),
   };
 }
 
-function layout(height, more) {
+function layout(width, height, more) {
   return {
-    height,
-    margin: { l: leftMargin(), r: 14, t: 8, b: 46 },
+    width, height,
+    margin: { l: leftMargin(width), r: 14, t: 8, b: 46 },
     paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
-    font: { family: "system-ui, -apple-system, Segoe UI, Roboto, sans-serif", size: 11, color: css("ink") },
+    font: { family: FONT, size: NAME_SIZE, color: css("ink") },
     hoverlabel: { bgcolor: css("card"), bordercolor: css("line"), font: { color: css("ink") }, align: "left" },
     showlegend: false,
     dragmode: matchMedia("(pointer: coarse)").matches ? false : "zoom",
@@ -50,128 +66,23 @@ function layout(height, more) {
   };
 }
 
-/** Where the bins lie; evenly spaced ones as start and step, which plotly draws much faster. */
-function columns(clock, starts) {
-  if (!clock.step) return { x: starts.map(clock.edge) };
-  const width = starts[1] - starts[0];
-  return { x0: clock.at(starts[0] + (width - 1) / 2), dx: width * clock.step };
-}
-
-/** A heat map with one named row per entry of z, over the bins that start at `starts`. */
-function heatmap(view, clock, starts, names, z, hover, scale, [low, high]) {
-  const count = names.length;
-  const every = Math.max(1, Math.ceil(12 / rowHeight(count)));
-  const rows = names.map((_, i) => i).filter((i) => i % every === 0);
-  return {
-    data: [{
-      type: "heatmap", ...columns(clock, starts), y0: 0, dy: 1, z, customdata: hover,
-      zmin: low, zmax: high, colorscale: scale, showscale: false, hoverongaps: false,
-      hovertemplate: "%{customdata}<extra></extra>",
-    }],
-    layout: layout(heatHeight(count), {
-      xaxis: { ...timeAxis(view, clock), showgrid: false },
-      yaxis: {
-        range: [count - 0.5, -0.5], fixedrange: true, tickvals: rows, ticktext: rows.map((i) => names[i]),
-        showgrid: false, zeroline: false, ticks: "outside", ticklen: 5, tickcolor: "rgba(0,0,0,0)",
-      },
-      plot_bgcolor: css("missing"), hovermode: "closest",
-    }),
-  };
-}
-
-const rowHeight = (count) => Math.max(7, Math.min(26, Math.round(840 / count)));
-const heatHeight = (count) => count * rowHeight(count) + 60;
-
-const suspectedText = (share) => (share === 1 ? " · suspected" : share ? ` · suspected ${Math.ceil(100 * share)} % of it` : "");
-
-/** Whether a sensor was suspected, by sample. */
-function suspicion(suspected, sensor) {
-  const flags = suspected.column(sensor), half = suspected.code(sensor, 0.5);
-  return (i) => flags[i] > half;
-}
-
-/** The time of every bin, as text. */
-const periods = (clock, starts) => starts.slice(0, -1).map((start, b) => {
-  const last = starts[b + 1] - 1;
-  return last === start ? clock.text(start) : `${clock.text(start)} – ${clock.text(last)}`;
-});
-
-/** Least trust per bin; a bin with a suspected sample is red, the more of them the deeper. */
-function trustChart({ trust, suspected }, view, clock, most) {
-  const starts = bins(view.from, view.to, most), period = periods(clock, starts);
-  const z = [], hover = [];
-  MANIFEST.sensors.forEach((sensor, s) => {
-    const least = extremes(trust.column(s), starts, (a, b) => a < b).map((code) => code === null ? null : trust.value(s, code));
-    const share = shares(starts, suspicion(suspected, s));
-    z.push(least.map((value, b) => (share[b] ? -Math.sqrt(share[b]) : value)));
-    hover.push(least.map((value, b) =>
-      `<b>${plain(sensor.name)}</b><br>${period[b]}<br>trust ${value === null ? "–" : value.toFixed(2)}${suspectedText(share[b])}`));
-  });
-  const names = MANIFEST.sensors.map((s) => (s.lies ? tone(short(s.name), css("red")) : short(s.name)));
-  const scale = [[0, css("red")], [0.4999, css("red-faint")], [0.5, css("trust-none")], [1, css("trust-full")]];
-  return heatmap(view, clock, starts, names, z, hover, scale, [-1, 1]);
-}
-
-/** The bound that the largest of `width` normal values passes as rarely as a single one passes `bound`. */
-function boundOfLargest(bound, width) {
-  const rare = (z) => Math.exp(-z * z / 2) / (z + 1 / (z + 2 / (z + 3 / (z + 4 / z))));
-  let low = bound, high = bound + 10;
-  for (let i = 0; i < 50; i++) {
-    const middle = (low + high) / 2;
-    if (width * rare(middle) > rare(bound)) low = middle;
-    else high = middle;
-  }
-  return low;
-}
-
-/** Greatest |innovation| per bin, in standard deviations; beyond the bound for such a bin it turns from blue to amber. */
-function surpriseChart({ ratio }, view, clock, most) {
-  const starts = bins(view.from, view.to, most), period = periods(clock, starts);
-  const z = [], hover = [];
-  MANIFEST.channels.forEach((channel, c) => {
-    const column = ratio.column(c);
-    const up = extremes(column, starts, (a, b) => a > b), down = extremes(column, starts, (a, b) => a < b);
-    const worst = up.map((code, b) => {
-      if (code === null) return null;
-      const top = ratio.value(c, code), bottom = ratio.value(c, down[b]);
-      return top > -bottom ? top : bottom;
-    });
-    z.push(worst.map((value) => (value === null ? null : Math.abs(value))));
-    hover.push(worst.map((value, b) =>
-      `<b>${plain(channel.name)}</b><br>${period[b]}<br>${value === null ? "missing" : value.toFixed(2) + " σ"}`));
-  });
-  const names = MANIFEST.channels.map((c) => MANIFEST.sensors[c.sensor].lies ? tone(short(c.name), css("red")) : short(c.name));
-  const scale = [[0, css("calm")], [0.4999, css("bound")], [0.5, css("over")], [1, css("far")]];
-  return heatmap(view, clock, starts, names, z, hover, scale, [0, 2 * boundOfLargest(MANIFEST.bound, starts[1] - starts[0])]);
-}
-
-/** The status of every sample as one strip; the worst of every bin. */
-function statusChart({ status }, view, clock, most) {
-  const starts = bins(view.from, view.to, most), period = periods(clock, starts);
-  const worst = extremes(status.column(0), starts, (a, b) => a > b).map((code) => Math.round(status.value(0, code)));
-  const names = ["OK", "NO_MEASUREMENT", "NOT_CONVERGED", "ILL_CONDITIONED"];
-  const colours = [css("calm"), css("missing"), css("over"), css("purple")];
-  const scale = colours.flatMap((colour, i) => [[i / 4, colour], [(i + 0.9999) / 4, colour]]).concat([[1, colours[3]]]);
-  const hover = worst.map((code, b) => `${period[b]}<br>${names[code]}`);
-  return heatmap(view, clock, starts, ["status"], [worst], [hover], scale, [-0.5, 3.5]);
-}
-
-/** One line over the window, thinned; red at the samples where `isRed` says so, and next to them where points are dense. */
-function lineTraces(view, clock, axis, column, value, isRed) {
-  const samples = thin(column, view.from, view.to, LINE_POINTS);
+/** One line over the window, thinned to `points`; red at the samples where `isRed` says so, and next to them where points are dense. */
+function lineTraces({ view, clock, points, x: xaxis, y: yaxis }, column, value, isRed) {
+  const samples = thin(column, view.from, view.to, points);
   const x = samples.map(clock.at), y = samples.map((i) => value(column[i]));
   const mode = samples.length < 80 ? "lines+markers" : "lines";
-  const line = { x, y, mode, yaxis: axis, line: { color: css("accent"), width: 1.2 }, marker: { size: 4 }, hovertemplate: "%{y:.4~g}<extra></extra>" };
+  const line = { x, y, mode, xaxis, yaxis, line: { color: css("accent"), width: 1.2 }, marker: { size: 4 }, hovertemplate: "%{y:.4~g}<extra></extra>" };
   if (!isRed) return [line];
   const red = samples.map(isRed), dense = samples.length > 400;
+  if (!red.includes(true)) return [line];
   const marked = y.map((v, i) => (red[i] || (dense && (red[i - 1] || red[i + 1])) ? v : null));
-  const mark = { x, y: marked, mode: dense ? "lines" : "lines+markers", yaxis: axis, line: { color: css("red"), width: 1.4 }, marker: { size: 4 }, hoverinfo: "skip" };
+  const mark = { x, y: marked, mode: dense ? "lines" : "lines+markers", xaxis, yaxis, line: { color: css("red"), width: 1.4 }, marker: { size: 4 }, hoverinfo: "skip" };
   return [line, mark];
 }
 
-/** A filled band between a lower and an upper column, thinned to its outermost edge per bin. */
-function bandTraces(view, clock, axis, lower, upper) {
-  const starts = bins(view.from, view.to, LINE_POINTS / 2);
+/** A filled band between a lower and an upper edge, thinned to its outermost per bin. */
+function bandTraces({ view, clock, points, x: xaxis, y: yaxis }, lower, upper, width = 0) {
+  const starts = bins(view.from, view.to, points / 2);
   const x = [], low = [], high = [];
   for (let b = 0; b + 1 < starts.length; b++) {
     let least = Infinity, greatest = -Infinity;
@@ -179,37 +90,53 @@ function bandTraces(view, clock, axis, lower, upper) {
       least = Math.min(least, lower(i));
       greatest = Math.max(greatest, upper(i));
     }
-    if (!(least <= greatest)) continue;
+    const known = least <= greatest;
     x.push((clock.at(starts[b]) + clock.at(starts[b + 1] - 1)) / 2);
-    low.push(least);
-    high.push(greatest);
+    low.push(known ? least : null);
+    high.push(known ? greatest : null);
   }
-  const edge = { x, yaxis: axis, mode: "lines", line: { width: 0 }, hoverinfo: "skip" };
+  const edge = { x, xaxis, yaxis, mode: "lines", line: { width, color: css("accent") }, hoverinfo: "skip" };
   return [{ ...edge, y: low }, { ...edge, y: high, fill: "tonexty", fillcolor: css("band") }];
 }
 
-/** Rows above each other that share one time axis. Each row: {title, traces(axis), shapes?(axis)}. */
-function stack(rows, view, clock, height) {
-  const gap = 24 / (rows.length * height), data = [], axes = {}, shapes = [];
-  const annotations = rows.map((row, r) => {
-    const top = 1 - r / rows.length, name = r ? `y${r + 1}` : "y";
-    data.push(...row.traces(name));
-    shapes.push(...(row.shapes ? row.shapes(name) : []));
-    axes[r ? `yaxis${r + 1}` : "yaxis"] = {
-      domain: [top - 1 / rows.length, top - gap], fixedrange: true, gridcolor: css("line"), zerolinecolor: css("line"),
-      nticks: 5, tickformat: ".4~g", anchor: "x",
+const PANEL = 320;
+/** How many panels stand side by side: one below the other if they are few or the page is narrow. */
+const sideBySide = (width, count) => (count <= 4 ? 1 : Math.max(1, Math.min(3, Math.floor(width / PANEL))));
+
+const TITLE = 22, FOOT = 46, AXIS = 48;
+
+/** Panels in a grid, all with the same time axis. A panel: {title, red?, range?, traces(where), shapes?(where)}. */
+function grid(panels, perRow, height, width, view, clock) {
+  const rows = Math.ceil(panels.length / perRow), tall = rows * height;
+  const left = perRow === 1 && !PHONE.matches ? Math.max(AXIS, leftMargin(width)) : AXIS;
+  const cell = (width - left - 14 + AXIS) / perRow, plot = cell - AXIS, whole = width - left - 14;
+  const figure = { data: [], shapes: [], annotations: [], axes: {} };
+  panels.forEach((panel, p) => {
+    const row = Math.floor(p / perRow), n = p ? String(p + 1) : "", from = (p % perRow) * cell;
+    const where = { view, clock, points: Math.max(200, 2 * Math.round(plot)), x: `x${n}`, y: `y${n}` };
+    const lowest = p + perRow >= panels.length, top = 1 - (row * height + TITLE) / tall;
+    const axis = timeAxis(view, clock, Math.max(3, Math.floor(plot / 80)));
+    figure.axes[`xaxis${n}`] = {
+      ...axis, domain: [from / whole, Math.min(1, (from + plot) / whole)], anchor: where.y, showticklabels: lowest, ticks: lowest ? "outside" : "",
+      title: lowest ? axis.title : undefined, matches: n ? "x" : undefined,
     };
-    return { text: row.title, xref: "paper", yref: "paper", x: 0, y: top - gap, xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: 12 } };
+    figure.axes[`yaxis${n}`] = {
+      domain: [Math.max(0, 1 - ((row + 1) * height - 4) / tall), top], anchor: where.x, fixedrange: true, gridcolor: css("line"), zerolinecolor: css("line"),
+      nticks: Math.max(3, Math.round(height / 26)), tickformat: ".4~g", range: panel.range, autorange: !panel.range,
+    };
+    const title = fit(panel.title, plot, TITLE_SIZE);
+    figure.annotations.push({
+      text: panel.red ? tone(title, css("red")) : title, xref: "paper", yref: "paper", x: from / whole, y: top,
+      xanchor: "left", yanchor: "bottom", showarrow: false, font: { size: TITLE_SIZE }, borderpad: 1,
+    });
+    figure.data.push(...panel.traces(where));
+    figure.shapes.push(...(panel.shapes ? panel.shapes(where) : []));
   });
-  const bottom = rows.length > 1 ? `y${rows.length}` : "y";
-  return {
-    data,
-    layout: layout(rows.length * height + 60, {
-      ...axes, annotations, shapes, xaxis: { ...timeAxis(view, clock), anchor: bottom }, hovermode: "x",
-    }),
-  };
+  const { data, shapes, annotations, axes } = figure;
+  const margin = { l: left, r: 14, t: 0, b: FOOT };
+  return { data, layout: layout(width, tall + FOOT, { ...axes, annotations, shapes, margin, hovermode: "x" }) };
 }
 
-const dashed = (y, axis) => ({
-  type: "line", xref: "paper", x0: 0, x1: 1, yref: axis, y0: y, y1: y, line: { color: css("soft"), width: 1, dash: "dash" },
+const dashed = (y, { x, y: axis }) => ({
+  type: "line", xref: `${x} domain`, x0: 0, x1: 1, yref: axis, y0: y, y1: y, line: { color: css("soft"), width: 1, dash: "dash" },
 });

@@ -1,45 +1,97 @@
 "use strict";
-// The page: which charts there are, one time window for all of them, drawing only what is on the screen.
+// The page: which charts there are, one time window for all of them, drawn one after the other, the nearest first.
 
 const view = { from: 0, to: SAMPLES };
 const charts = [];
-let clock;
-
-const observer = new IntersectionObserver((entries) => {
-  for (const entry of entries) {
-    const chart = charts.find((c) => c.div === entry.target);
-    chart.visible = entry.isIntersecting;
-    draw(chart);
-  }
-}, { rootMargin: "300px" });
+let clock, drawing = false;
 
 function draw(chart) {
-  if (!chart.visible || !chart.stale) return;
   chart.stale = false;
-  const { data, layout } = chart.figure();
-  const first = !chart.div.on;
-  Plotly.react(chart.div, data, { ...layout, width: chart.div.clientWidth }, { displayModeBar: false, doubleClick: false });
+  const { data, layout } = chart.figure(chart.div.clientWidth), first = !chart.div.on;
+  Plotly.react(chart.div, data, layout, { displayModeBar: false, doubleClick: false });
   if (!first) return;
   chart.div.on("plotly_relayout", (change) => {
-    if (change["xaxis.range[0]"] !== undefined) zoom(change["xaxis.range[0]"], change["xaxis.range[1]"]);
+    const axis = Object.keys(change).find((key) => /^xaxis\d*\.range\[0\]$/.test(key));
+    if (axis) zoom(change[axis], change[axis.replace("[0]", "[1]")]);
   });
   chart.div.on("plotly_doubleclick", () => show(0, SAMPLES));
+  if (chart.select) chart.div.on("plotly_click", ({ points }) => chart.select(points[0].y));
+}
+
+/** How far a chart is from the screen, in pixels. */
+function distance({ div }) {
+  const { top, bottom } = div.getBoundingClientRect();
+  return Math.max(0, top - innerHeight, -bottom);
+}
+
+/** Draw all that is out of date, also what is off the screen; the page answers between two charts. */
+function drawAll() {
+  if (drawing) return;
+  drawing = true;
+  const next = () => {
+    const stale = charts.filter((c) => c.stale);
+    drawing = stale.length > 0;
+    if (!drawing) return;
+    try {
+      draw(stale.reduce((a, b) => (distance(b) < distance(a) ? b : a)));
+    } catch (error) {
+      trouble(error);
+    }
+    setTimeout(next);
+  };
+  setTimeout(next);
 }
 
 function redraw() {
   for (const chart of charts) chart.stale = true;
   explainBins();
-  requestAnimationFrame(() => charts.forEach(draw));
+  drawAll();
 }
 
 /** Its height is reserved at once, so that the page does not jump when it is drawn. */
-function addChart(section, height, figure) {
-  const div = section.querySelector(".plot");
+function addChart(div, height, figure, select) {
   div.style.minHeight = `${height}px`;
-  const chart = { div, figure, stale: true, visible: false };
+  const chart = { div, figure, select, stale: true };
   charts.push(chart);
-  observer.observe(div);
+  drawAll();
   return chart;
+}
+
+function dropChart(chart) {
+  charts.splice(charts.indexOf(chart), 1);
+  if (chart.div.on) Plotly.purge(chart.div);
+  chart.div.remove();
+}
+
+const galleries = [];
+const CHUNK = 12;
+
+/** All panels of a section, in as many columns as there is room for; drawn in chunks, so that long lists stay fast. */
+function gallery(section, panels, height) {
+  const host = section.appendChild(document.createElement("div"));
+  host.className = "gallery";
+  const self = { perRow: 0, parts: [], host };
+  self.arrange = () => {
+    const perRow = sideBySide(host.clientWidth, panels.length);
+    if (perRow === self.perRow) return;
+    self.perRow = perRow;
+    self.parts.splice(0).forEach(dropChart);
+    for (let i = 0; i < panels.length; i += CHUNK) {
+      const shown = panels.slice(i, i + CHUNK), div = host.appendChild(document.createElement("div"));
+      div.className = "plot";
+      const whole = Math.ceil(shown.length / perRow) * height + FOOT;
+      self.parts.push(addChart(div, whole, (width) => grid(shown, perRow, height, width, view, clock)));
+    }
+  };
+  /** Bring one panel to the screen. */
+  self.reveal = (i) => {
+    const { top } = self.parts[Math.floor(i / CHUNK)].div.getBoundingClientRect();
+    const row = Math.floor((i % CHUNK) / self.perRow);
+    scrollTo({ top: scrollY + top + row * height - innerHeight / 3, behavior: "smooth" });
+  };
+  self.arrange();
+  galleries.push(self);
+  return self;
 }
 
 /** Show samples [from, to) in every chart. */
@@ -71,144 +123,9 @@ function move(how) {
   show(from, to);
 }
 
-/** Columns of a heat map: no more than the screen can show. */
-const most = (div) => Math.min(1500, Math.max(200, Math.round(div.clientWidth - leftMargin())));
-
-/** A section that shows a few rows of a long list at a time, and a way to choose which. */
-function pages(section, names, perPage, row, height) {
-  const pager = section.querySelector(".pager");
-  let first = 0;
-  const chart = addChart(section, Math.min(perPage, names.length) * height + 60, () => {
-    const shown = names.slice(first, first + perPage).map((_, i) => row(first + i));
-    return stack(shown, view, clock, height);
-  });
-  if (names.length <= perPage) return { open: () => {} };
-  const select = document.createElement("select");
-  select.setAttribute("aria-label", "first shown");
-  names.forEach((name, i) => select.add(new Option(name, i)));
-  const open = (i) => {
-    first = Math.min(Math.max(0, i), names.length - 1);
-    select.value = first;
-    count.textContent = `${first + 1}–${Math.min(first + perPage, names.length)} of ${names.length}`;
-    back.disabled = first === 0;
-    forth.disabled = first + perPage >= names.length;
-    chart.stale = true;
-    draw(chart);
-  };
-  const button = (text, step, label) => {
-    const b = document.createElement("button");
-    b.textContent = text;
-    b.setAttribute("aria-label", label);
-    b.onclick = () => open(first + step);
-    return b;
-  };
-  const back = button("‹", -perPage, "previous"), forth = button("›", perPage, "next");
-  const count = document.createElement("span");
-  select.onchange = () => open(Number(select.value));
-  pager.append(select, back, forth, count);
-  open(0);
-  return { open };
-}
-
-/** Channels in the order a reader wants: those of liars first, then by how often their sensor was suspected. */
-const ranked = MANIFEST.channels.map((_, i) => i).sort((a, b) => {
-  const [s, t] = [a, b].map((c) => MANIFEST.sensors[MANIFEST.channels[c].sensor]);
-  return t.lies - s.lies || t.share - s.share || a - b;
-});
-
-function channelRow(table, suspected, c, unit, shapes) {
-  const channel = MANIFEST.channels[c], column = table.column(c);
-  const title = withUnit(cut(channel.name, PHONE.matches ? 28 : 80), plain(unit));
-  return {
-    title: MANIFEST.sensors[channel.sensor].lies ? tone(title, css("red")) : title,
-    shapes,
-    traces: (axis) => lineTraces(view, clock, axis, column, (code) => table.value(c, code), suspicion(suspected, channel.sensor)),
-  };
-}
-
-function stateRow(x, deviation, s) {
-  const column = x.column(s), spread = deviation.column(s);
-  const edge = (sign) => (i) => {
-    const centre = x.value(s, column[i]), width = deviation.value(s, spread[i]);
-    return centre === null || width === null ? NaN : centre + 2 * sign * width;
-  };
-  return {
-    title: plain(MANIFEST.states[s]),
-    traces: (axis) => [
-      ...bandTraces(view, clock, axis, edge(-1), edge(1)),
-      ...lineTraces(view, clock, axis, column, (code) => x.value(s, code)),
-    ],
-  };
-}
-
-function diagnosticRow(table, d) {
-  const column = table.column(d);
-  return {
-    title: plain(MANIFEST.diagnostics[d]),
-    traces: (axis) => lineTraces(view, clock, axis, column, (code) => table.value(d, code)),
-  };
-}
-
-const sectionOf = (name) => document.querySelector(`section[data-chart="${name}"]`);
-
-async function buildTrust() {
-  const data = { trust: await unpack("trust"), suspected: await unpack("suspected") };
-  const section = sectionOf("trust");
-  addChart(section, heatHeight(MANIFEST.sensors.length), () => trustChart(data, view, clock, most(section.querySelector(".plot"))));
-  return data.suspected;
-}
-
-async function buildInjections(suspected) {
-  const attack = await unpack("attack"), section = sectionOf("attack");
-  const known = ranked.filter((c) => attack.column(c).some((code) => code !== MISSING));
-  if (!known.length) {
-    section.querySelector(".hint").textContent = "This estimator made no estimate of injections.";
-    return;
-  }
-  const suspects = known.filter((c) => MANIFEST.sensors[MANIFEST.channels[c].sensor].share > 0).length;
-  pages(section, known.map((c) => MANIFEST.channels[c].name), Math.max(2, Math.min(4, suspects)),
-    (i) => channelRow(attack, suspected, known[i], MANIFEST.channels[known[i]].unit), 130);
-}
-
-async function buildStates() {
-  const x = await unpack("x"), deviation = await unpack("x_std");
-  pages(sectionOf("states"), MANIFEST.states, 6, (s) => stateRow(x, deviation, s), 110);
-}
-
-async function buildInnovations(suspected) {
-  const ratio = await unpack("ratio"), section = sectionOf("surprise"), bound = MANIFEST.bound;
-  const chart = addChart(section, heatHeight(MANIFEST.channels.length), () =>
-    surpriseChart({ ratio }, view, clock, most(section.querySelector(".plot"))));
-  const shapes = (axis) => [dashed(bound, axis), dashed(-bound, axis)];
-  const lines = pages(sectionOf("innovations"), ranked.map((c) => MANIFEST.channels[c].name), 3,
-    (i) => channelRow(ratio, suspected, ranked[i], "σ", shapes), 140);
-  whenDrawn(chart, () => chart.div.on("plotly_click", ({ points }) => lines.open(ranked.indexOf(points[0].y))));
-}
-
-/** Run `then` once, after the chart's first drawing. */
-function whenDrawn(chart, then) {
-  const figure = chart.figure;
-  chart.figure = () => {
-    chart.figure = figure;
-    setTimeout(then);
-    return figure();
-  };
-}
-
-async function buildSolver() {
-  const status = await unpack("status"), section = sectionOf("status");
-  addChart(section, heatHeight(1), () => statusChart({ status }, view, clock, most(section.querySelector(".plot"))));
-  if (!MANIFEST.blocks.diagnostics) {
-    sectionOf("diagnostics").hidden = true;
-    return;
-  }
-  const table = await unpack("diagnostics");
-  pages(sectionOf("diagnostics"), MANIFEST.diagnostics, 6, (d) => diagnosticRow(table, d), 100);
-}
-
 /** What a heat-map column stands for, said where it stands for more than one sample. */
 function explainBins() {
-  const width = Math.ceil((view.to - view.from) / most(document.querySelector(".plot")));
+  const width = Math.ceil((view.to - view.from) / most(plotOf("trust").clientWidth));
   const bound = boundOfLargest(MANIFEST.bound, width), sigmas = (z) => `${Number(z.toFixed(1))}σ`;
   document.getElementById("trust-hint").textContent = width < 2 ? "" :
     `Each column is ${width} samples: the least trust among them; red if any was suspected, the more the deeper. Zoom in for single samples.`;
@@ -218,14 +135,18 @@ function explainBins() {
   document.getElementById("surprise-key").textContent = `0 to ${sigmas(bound)}, beyond, ${sigmas(2 * bound)} and more`;
 }
 
-/** The page in light colours and at paper width while it is printed. */
+/** The page in light colours and at paper width while it is printed; everything is drawn before it returns. */
 function printAs(printing) {
   document.documentElement.classList.toggle("printing", printing);
-  for (const chart of charts) {
-    chart.stale = true;
-    chart.visible ||= printing;
-    draw(chart);
-  }
+  for (const details of document.querySelectorAll("details")) details.open ||= printing;
+  fitPage();
+  if (printing) charts.filter((chart) => chart.stale).forEach(draw);
+}
+
+/** Arrange and draw anew for another width. */
+function fitPage() {
+  galleries.forEach((g) => g.arrange());
+  redraw();
 }
 
 function listen() {
@@ -237,7 +158,11 @@ function listen() {
     sectionOf("trust").scrollIntoView({ behavior: "smooth" });
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
-  addEventListener("resize", redraw);
+  let shownWidth = innerWidth;
+  addEventListener("resize", () => {
+    if (innerWidth !== shownWidth) fitPage();
+    shownWidth = innerWidth;
+  });
   addEventListener("beforeprint", () => printAs(true));
   addEventListener("afterprint", () => printAs(false));
 }
@@ -257,11 +182,13 @@ async function start() {
   await buildSolver();
 }
 
-start().catch((error) => {
+function trouble(error) {
   const note = document.getElementById("trouble");
   note.hidden = false;
   note.textContent = typeof DecompressionStream === "undefined"
     ? "This browser is too old to unpack the charts (it lacks DecompressionStream, in browsers since 2023). The tables are complete."
     : `The charts could not be drawn: ${error.message}`;
   console.error(error);
-});
+}
+
+start().catch(trouble);
