@@ -31,15 +31,3 @@ def test_every_quick_comparison_prints_a_finite_ratio(quick: str) -> None:
 def test_every_rival_takes_part(quick: str) -> None:
     for rival in ("filterpy", "statsmodels", "NumPy", "CVXPY + Clarabel", "Clarabel alone", "OSQP"):
         assert rival in quick
-
-
-def test_an_unknown_case_is_refused_with_the_names_of_the_known_ones() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "benches", "--only", "nonsense"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 2
-    assert "kalman-step" in done.stderr
