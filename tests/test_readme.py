@@ -222,3 +222,12 @@ def test_the_tests_that_architecture_names_exist() -> None:
     for file, test in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", page("ARCHITECTURE.md")):
         functions = [node.name for node in ast.parse(page(file)).body if isinstance(node, ast.FunctionDef)]
         assert test in functions, f"{file}::{test}"
+
+
+def test_the_papers_numbers_in_the_docs_are_those_of_its_reproduction() -> None:
+    source = set(re.findall(r"[\d.]+", page("papers/liu2020/README.md")))
+    rows = re.findall(r"^\| sensor \d \|(.*)\|$", page("docs/sparse-fusion.md"), re.MULTILINE)
+    condition = re.findall(r"condition number is (\d+), in our basis ([\d.]+\d)", page("docs/decisions.md"))
+    copied = {number.strip() for row in rows for number in row.split("|")} | set(condition[0])
+    assert len(rows) == 5
+    assert copied <= source
