@@ -1,16 +1,16 @@
 """Write a plant as TOML that people can read, large matrices in an NPZ file beside it."""
 
 import json
-import os
-import secrets
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
 from securestate._checks import Array
+from securestate._files import whole_file
 from securestate.errors import PlantError
 
 if TYPE_CHECKING:
@@ -155,23 +155,28 @@ def _array_text(array: Array, indent: str) -> str:
 
 def _write_whole(contents: dict[Path, Callable[[IO[bytes]], object]]) -> None:
     """Write all files beside their places, then move them there one after the other."""
-    token = secrets.token_hex(4)
-    parts = {path: path.with_name(f".{path.name}.{token}.tmp") for path in contents}
-    try:
-        for path in contents:
-            if path.is_dir():
-                raise PlantError(str(path), "the name of a file", "a folder")
+    for path in contents:
+        if path.is_dir():
+            raise PlantError(str(path), "the name of a file", "a folder")
+    with ExitStack() as moves:  # undone in reverse: the last file is begun first and moved last
+        parts = {path: moves.enter_context(_plant_file(path)) for path in reversed(contents)}
         for path, write in contents.items():
-            with parts[path].open("xb") as stream:
+            with _named(path), parts[path].open("wb") as stream:
                 write(stream)
-                stream.flush()
-                os.fsync(stream.fileno())
-        for path, part in parts.items():
-            part.replace(path)
+
+
+@contextmanager
+def _plant_file(path: Path) -> Iterator[Path]:
+    with _named(path), whole_file(path) as part:
+        yield part
+
+
+@contextmanager
+def _named(path: Path) -> Iterator[None]:
+    """Say of which file it was that it cannot be written."""
+    try:
+        yield
+    except PlantError:
+        raise
     except (OSError, ValueError) as error:
-        if isinstance(error, PlantError):
-            raise
         raise PlantError(str(path), "a place that can be written", str(error)) from None
-    finally:
-        for part in parts.values():
-            part.unlink(missing_ok=True)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import os
-import secrets
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +15,7 @@ import pyarrow.csv as arrow_csv
 import pyarrow.parquet as parquet
 from numpy.typing import NDArray
 
+from securestate._files import whole_file
 from securestate.errors import InputError
 
 if TYPE_CHECKING:
@@ -40,8 +38,11 @@ def write_run(run: Run, path: str | PathLike[str]) -> None:
     """
     check_result_path(path)
     write = _WRITERS[Path(path).suffix.lower()]
-    with whole_file(Path(path)) as part:
-        write(run, part)
+    try:
+        with whole_file(Path(path)) as part:
+            write(run, part)
+    except OSError as reason:
+        raise InputError("path", "a place that can be written", f"{str(path)!r} ({reason})") from None
 
 
 def check_result_path(path: str | PathLike[str], argument: str = "path") -> None:
@@ -58,27 +59,6 @@ def check_folder(path: str | PathLike[str], argument: str) -> None:
         raise InputError(argument, "the name of a file", f"the folder {str(place)!r}")
     if not place.absolute().parent.is_dir():
         raise InputError(argument, "a file in a folder that exists", repr(str(place)))
-
-
-@contextmanager
-def whole_file(path: Path) -> Iterator[Path]:
-    """Give the path of a new file beside `path`; move it there if the block succeeds, else remove it.
-
-    Raises:
-        InputError: the place cannot be written.
-    """
-    target = Path(os.path.realpath(path))
-    part = target.with_name(f".{target.name}.{secrets.token_hex(4)}.tmp")
-    try:
-        part.touch(exist_ok=False)
-        yield part
-        with part.open("rb") as written:
-            os.fsync(written.fileno())
-        part.replace(target)
-    except OSError as reason:
-        raise InputError("path", "a place that can be written", f"{str(path)!r} ({reason})") from None
-    finally:
-        part.unlink(missing_ok=True)
 
 
 def _columns(run: Run) -> Any:

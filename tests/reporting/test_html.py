@@ -12,8 +12,9 @@ import pytest
 
 from securestate.errors import InputError
 from securestate.estimators.run import Run
+from securestate.plant import Plant, Sensor
 from securestate.reporting import write_report
-from securestate.reporting.blocks import normalised_innovation
+from securestate.reporting.blocks import channel_labels, normalised_innovation
 from securestate.reporting.html import render
 from securestate.reporting.payload import Block, unpack
 from tests.reporting.made_runs import made_run, with_silence
@@ -66,15 +67,50 @@ def table_of(html: str, name: str) -> np.ndarray:
 
 
 def test_the_headline_is_the_verdict() -> None:
-    assert "<h1>2 of 5 sensors lie: XMEAS 2 and XMEAS 4.</h1>" in render(made_run(liars=(1, 3)))
+    html = render(made_run(liars=(1, 3)))
+    assert headline_of(html).replace("\u00a0", " ") == "2 of 5 sensors lie: XMEAS 2 and XMEAS 4."
     assert "<h1>No sensor is suspected.</h1>" in render(made_run())
 
 
-def test_liars_come_first_and_every_sensor_is_in_the_table() -> None:
+def headline_of(html: str) -> str:
+    heading = re.search("<h1>(.*?)</h1>", html)
+    assert heading
+    return re.sub("<[^>]*>", "", heading[1])
+
+
+def test_the_headline_never_parts_a_number_from_its_word() -> None:
+    html = render(made_run(2, 2, liars=(0,), names=["XMEAS 11 separator temperature", "ok"]))
+    assert headline_of(html).endswith("XMEAS\u00a011 separator temperature.")
+
+
+def test_liars_come_first_and_every_sensor_is_named_once_without_a_click() -> None:
     html = render(made_run(sensors=40, liars=(7, 30)))
-    names = re.findall(r'data-label="Sensor">(XMEAS \d+)', html)
-    assert names[:2] == ["XMEAS 8", "XMEAS 31"]
-    assert set(names) == {f"XMEAS {i + 1}" for i in range(40)}
+    section = html[html.index("<h2>Sensors</h2>") : html.index("<h2>Trust</h2>")]
+    assert re.findall(r'data-label="Sensor">(XMEAS \d+)', section) == ["XMEAS 8", "XMEAS 31"]
+    assert "No alarm from 38 other sensors:" in section
+    assert sorted(re.findall(r"XMEAS (\d+)", section), key=int) == [str(i + 1) for i in range(40)]
+    assert "<details" not in section
+
+
+def test_a_sensor_with_an_isolated_alarm_or_a_gap_has_its_own_row() -> None:
+    run = with_silence(made_run(), 2, slice(5, 9))
+    run.suspected[50, 0] = True
+    table = render(run).split("<tbody>")[1].split("</tbody>")[0]
+    assert re.findall(r'data-label="Sensor">(XMEAS \d+)', table) == ["XMEAS 1", "XMEAS 3"]
+    assert "isolated alarms" in table
+
+
+def test_charts_call_the_only_channel_of_a_sensor_by_the_name_of_the_sensor() -> None:
+    plant = made_run().plant
+    pair = Sensor("pair", np.ones((2, 3)), 1.0)
+    single = Sensor("XMEAS 1 feed", np.ones((1, 3)), 1.0, channels=["XMEAS 1"])
+    mixed = Plant(plant.A, plant.Q, [pair, single])
+    assert channel_labels(mixed) == ["pair.1", "pair.2", "XMEAS 1 feed"]
+
+
+def test_the_noise_that_charts_are_scaled_by_is_in_file_units() -> None:
+    channels = manifest_of(render(made_run()))["channels"]
+    assert [c["noise"] for c in channels] == pytest.approx([2 * 0.5**0.5] * 5)
 
 
 def test_what_was_run_is_said() -> None:
@@ -185,7 +221,7 @@ def test_odd_numbers_do_not_stop_a_report(name: str, change: dict[str, float]) -
 
 def test_one_sample_of_one_sensor_is_enough() -> None:
     html = render(made_run(1, 1, samples=1, liars=(0,), since=0))
-    assert "<h1>1 of 1 sensors lies: XMEAS 1.</h1>" in html
+    assert headline_of(html).replace("\u00a0", " ") == "1 of 1 sensors lies: XMEAS 1."
     assert "1 state, 1 sensor, 1 channel" in html
 
 

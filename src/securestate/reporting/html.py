@@ -6,7 +6,6 @@ import base64
 import hashlib
 import json
 import os
-import tempfile
 from collections.abc import Sequence
 from functools import lru_cache
 from html import escape
@@ -17,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from plotly.offline import get_plotlyjs
 
+from securestate._files import whole_file
 from securestate.reporting import tables
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
@@ -52,7 +52,9 @@ def write_report(
         OSError: the file cannot be written; nothing is left behind.
     """
     target = Path(path)
-    _write_whole(target, render(run, title=title, source=source, notes=notes))
+    text = render(run, title=title, source=source, notes=notes)
+    with whole_file(target) as part:
+        part.write_text(text, encoding="utf-8", newline="\n")
     return target
 
 
@@ -125,22 +127,3 @@ def _policy(script: str) -> str:
 
 def _hash(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii")
-
-
-def _write_whole(target: Path, text: str) -> None:
-    """Write beside the target, then rename, so that a reader sees the old file or the new one."""
-    handle, name = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as stream:
-            stream.write(text)
-        Path(name).chmod(0o666 & ~_umask())
-        os.replace(name, target)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
-
-
-def _umask() -> int:
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask

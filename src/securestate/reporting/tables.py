@@ -40,15 +40,16 @@ def _count(number: int, noun: str) -> str:
 
 def headline(summary: Summary) -> str:
     """The verdict; every name in it stays in one piece where the page is wide enough."""
-    return summary.verdict_with(_unbroken)
+    words = summary.verdict_with(_unbroken)
+    return re.sub(r"</span>([,.])", r"\1</span>", words)
 
 
 def _unbroken(name: str) -> str:
-    """A name as one piece, and a number in it never apart from the word it numbers.
+    r"""A name as one piece, and a number in it never apart from the word it numbers.
 
     Examples:
-        >>> _unbroken("XMEAS 11 separator <temperature>") == "<span>XMEAS\\u00a011 separator &lt;temperature&gt;</span>"
-        True
+        >>> ascii(_unbroken("flow 11 <east>"))
+        "'<span>flow\\xa011 &lt;east&gt;</span>'"
     """
     return f"<span>{escape(re.sub(r' (?=[0-9])', chr(0xA0), name))}</span>"
 
@@ -67,7 +68,8 @@ def _notable(told: Sequence[SensorSummary], clock: Clock) -> str:
     used = [k for k in range(len(HEAD)) if any(row[k] for row in cells)]
     head = [HEAD[k] for k in used]
     rows = [
-        _row(head, [row[k] for k in used], "liar" if s.lies else "") for s, row in zip(told, cells, strict=True)
+        _row(head, [row[k] for k in used], "liar" if s.lies else "")
+        for s, row in zip(told, cells, strict=True)
     ]
     return _table(head, rows) if rows else ""
 

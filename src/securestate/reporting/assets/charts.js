@@ -10,7 +10,7 @@ const css = (name) => getComputedStyle(document.documentElement).getPropertyValu
 const plain = (text) => text.replace(/&/g, "&amp;").replace(/</g, "&lt;").replace(/>/g, "&gt;");
 const tone = (text, colour) => `<span style="color:${colour}">${text}</span>`;
 const withUnit = (name, unit) => (unit ? `${name} (${unit})` : name);
-const figures = (value) => String(Number(value.toPrecision(3))).replace("-", "−");
+const figures = (value) => String(Number(value.toPrecision(2))).replace("-", "−");
 
 const ruler = document.createElement("canvas").getContext("2d");
 function textWidth(text, size) {
@@ -30,7 +30,7 @@ function fit(text, room, size) {
 /** Room for the names left of heat maps; the same for all, so that their time axes stand in line. */
 function nameRoom(width) {
   const names = [...MANIFEST.sensors.map((s) => s.name), ...MANIFEST.channels.map((c) => c.label), "status"];
-  return Math.ceil(Math.min(0.3 * width, Math.max(30, ...names.map((n) => textWidth(n, NAME_SIZE)))));
+  return Math.ceil(Math.min(0.36 * width, Math.max(30, ...names.map((n) => textWidth(n, NAME_SIZE)))));
 }
 const leftMargin = (width) => (PHONE.matches ? 8 : nameRoom(width) + 16);
 
@@ -99,7 +99,7 @@ function bandTraces({ view, clock, points, x: xaxis, y: yaxis }, lower, upper, w
   return [{ ...edge, y: low }, { ...edge, y: high, fill: "tonexty", fillcolor: css("band") }];
 }
 
-const PANEL = 320;
+const PANEL = 290;
 /** How many panels stand side by side: one below the other if they are few or the page is narrow. */
 const sideBySide = (width, count) => (count <= 4 ? 1 : Math.max(1, Math.min(3, Math.floor(width / PANEL))));
 

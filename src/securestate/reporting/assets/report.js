@@ -159,9 +159,13 @@ function listen() {
   });
   matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   let shownWidth = innerWidth;
+  let settled = 0;
   addEventListener("resize", () => {
-    if (innerWidth !== shownWidth) fitPage();
-    shownWidth = innerWidth;
+    clearTimeout(settled);
+    settled = setTimeout(() => {
+      if (innerWidth !== shownWidth) fitPage();
+      shownWidth = innerWidth;
+    }, 200);
   });
   addEventListener("beforeprint", () => printAs(true));
   addEventListener("afterprint", () => printAs(false));

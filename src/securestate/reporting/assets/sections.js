@@ -73,7 +73,7 @@ function envelope(table, channels) {
 /** All honest channels of a unit in one panel. */
 function honestPanel(attack, channels, extents, unit, range) {
   const low = Math.min(...channels.map((c) => extents[c][0])), high = Math.max(...channels.map((c) => extents[c][1]));
-  const who = channels.length === 1 ? MANIFEST.channels[channels[0]].label : `${channels.length} channels never suspected`;
+  const who = channels.length === 1 ? MANIFEST.channels[channels[0]].label : `${channels.length} channels`;
   const span = low === high ? figures(low) : `${figures(low)} to ${figures(high)}`;
   return { title: `${who}: ${span} ${unit}`, range, traces: envelope(attack, channels) };
 }
@@ -107,7 +107,7 @@ async function buildStates() {
   gallery(sectionOf("states"), MANIFEST.states.map((_, s) => statePanel(x, deviation, s)), 105);
 }
 
-const FARTHEST = 15;
+const FARTHEST = 12;
 
 async function buildInnovations(suspected) {
   const ratio = await unpack("ratio"), bound = MANIFEST.bound, extents = MANIFEST.channels.map((_, c) => extent(ratio, c) ?? [0, 0]);
