@@ -5,7 +5,7 @@
 
 use std::ops::Range;
 
-use crate::linalg::{cholesky, cholesky_solve, dot, norm};
+use crate::linalg::{axpy, cholesky, cholesky_solve, dot, norm};
 use crate::penalty::{Outcome, Problem};
 
 /// The active set stops growing once the relative gap is below this.
@@ -18,6 +18,10 @@ const STATIONARY: f64 = 1e-12;
 const DAMPING: [f64; 4] = [1e-13, 1e-10, 1e-7, 1e-4];
 /// A group this much smaller than the largest one counts as zero until it asks to come back.
 const NEGLIGIBLE: f64 = 1e-9;
+/// Sweeps over all groups each time the active set has to grow.
+const OPENING_SWEEPS: usize = 2;
+/// Work after which the solver gives up.
+const CAP: usize = 5000;
 const SWEEPS: usize = 200;
 const NEWTON_STEPS: usize = 20;
 
@@ -26,9 +30,10 @@ const NEWTON_STEPS: usize = 20;
 pub struct Workspace {
     /// ν = ν₀ − H g; on active groups only while they are being solved for.
     nu: Vec<f64>,
-    /// Newton step and H times it, in the order of `active`.
+    /// Newton step, H times it and a copy of it, in the order of `active`.
     step: Vec<f64>,
     image: Vec<f64>,
+    packed: Vec<f64>,
     active: Vec<usize>,
     member: Vec<bool>,
     factor: Vec<f64>,
@@ -48,6 +53,7 @@ impl Workspace {
             nu: vec![0.0; d],
             step: vec![0.0; d],
             image: vec![0.0; d],
+            packed: vec![0.0; d],
             active: Vec::with_capacity(groups),
             member: vec![false; groups],
             factor: vec![0.0; reserved * reserved],
@@ -90,31 +96,51 @@ pub fn solve(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) -> Outcom
         iterations += minimise_on_active(problem, g, ws);
         problem.residual(g, &mut ws.nu);
         let gap = problem.relative_gap(g, &ws.nu);
-        let entering = most_violated(problem, ws);
-        match entering {
-            Some(j) if gap > TARGET && iterations < SWEEPS * (problem.groups() + 1) => {
-                ws.member[j] = true;
-                ws.active.push(j);
+        if gap <= TARGET || iterations > CAP || !somebody_enters(problem, ws) {
+            return Outcome { iterations, gap };
+        }
+        for _ in 0..OPENING_SWEEPS {
+            sweep_all(problem, g, ws);
+        }
+        iterations += OPENING_SWEEPS;
+        ws.begin(problem, g);
+    }
+}
+
+/// Whether an inactive group violates ‖ν_j‖ ≤ γ_j.
+fn somebody_enters(problem: &Problem<'_>, ws: &Workspace) -> bool {
+    (0..problem.groups())
+        .any(|j| !ws.member[j] && norm(&ws.nu[problem.range(j)]) > (1.0 + TOLERANCE) * problem.gamma[j])
+}
+
+/// One sweep of exact block updates over all groups, active or not: opens every group that asks for it at once.
+fn sweep_all(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) {
+    for j in 0..problem.groups() {
+        let range = problem.range(j);
+        if update_block(problem, g, ws, j) > 0.0 {
+            for (&delta, i) in ws.step[..range.len()].iter().zip(range) {
+                axpy(-delta, problem.row(i), &mut ws.nu);
             }
-            _ => return Outcome { iterations, gap },
         }
     }
 }
 
-/// The inactive group with the largest ‖ν_j‖ / γ_j above 1.
-fn most_violated(problem: &Problem<'_>, ws: &Workspace) -> Option<usize> {
-    let mut best = None;
-    let mut best_ratio = 1.0 + TOLERANCE;
-    for j in 0..problem.groups() {
-        if !ws.member[j] {
-            let ratio = norm(&ws.nu[problem.range(j)]) / problem.gamma[j];
-            if ratio > best_ratio {
-                best_ratio = ratio;
-                best = Some(j);
-            }
-        }
+/// Move group j to its minimum with the others held; the change is left in `step`. Returns its relative size.
+fn update_block(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, j: usize) -> f64 {
+    let range = problem.range(j);
+    let change = &mut ws.step[..range.len()];
+    for (c, i) in change.iter_mut().zip(range.clone()) {
+        *c = ws.nu[i] + problem.row(i)[i] * g[i];
     }
-    best
+    block_minimum(problem, range.clone(), problem.gamma[j], change);
+    let size = norm(change);
+    for (c, i) in change.iter_mut().zip(range) {
+        let new = *c;
+        *c -= g[i];
+        g[i] = new;
+    }
+    let moved = norm(change);
+    if moved > 0.0 { moved / (size + moved) } else { 0.0 }
 }
 
 /// Minimise over the active groups; those that reach zero leave. Returns the work done.
@@ -130,27 +156,16 @@ fn minimise_on_active(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) 
     SWEEPS
 }
 
-/// One sweep of exact block updates. Returns the largest change, relative to the group's size.
+/// One sweep of exact block updates over the active groups. Returns the largest relative change.
 fn descend(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace) -> f64 {
     let mut largest = 0.0_f64;
     for position in 0..ws.active.len() {
         let j = ws.active[position];
         let range = problem.range(j);
-        let change = &mut ws.step[..range.len()];
-        for (c, i) in change.iter_mut().zip(range.clone()) {
-            *c = ws.nu[i] + problem.row(i)[i] * g[i];
-        }
-        block_minimum(problem, range.clone(), problem.gamma[j], change);
-        let size = norm(change);
-        for (c, i) in change.iter_mut().zip(range.clone()) {
-            let new = *c;
-            *c -= g[i];
-            g[i] = new;
-        }
-        let moved = norm(change);
+        let moved = update_block(problem, g, ws, j);
+        largest = largest.max(moved);
         if moved > 0.0 {
-            largest = largest.max(moved / (size + moved));
-            for (&delta, i) in ws.step.iter().zip(range) {
+            for (&delta, i) in ws.step[..range.len()].iter().zip(range) {
                 let row = problem.row(i);
                 for &a in &ws.active {
                     for k in problem.range(a) {
@@ -292,9 +307,55 @@ fn assemble(problem: &Problem<'_>, g: &[f64], ws: &mut Workspace, size: usize, d
 }
 
 /// Step along `step` with backtracking on the cost; `image` holds the negative gradient on entry.
+///
+/// A step that would carry a group past zero is first tried as far as there, with that group at zero exactly: on
+/// a singular active set the minimum lies where a group vanishes.
 fn search(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, size: usize) -> bool {
     let slope = dot(&ws.image[..size], &ws.step[..size]);
-    let descent: f64 = positions(problem, &ws.active).map(|(i, at)| ws.nu[i] * ws.step[at]).sum();
+    let (nearest, leaving) = nearest_zero(problem, g, ws);
+    if nearest < 1.0 && vanish(problem, g, ws, size, nearest, leaving) {
+        return true;
+    }
+    let descent = product_with_step(problem, ws);
+    let curvature = dot(&ws.image[..size], &ws.step[..size]);
+    let mut t = 1.0;
+    for _ in 0..40 {
+        let change = 0.5 * t * t * curvature - t * descent + penalty_change(problem, g, ws, t);
+        if change <= -1e-4 * t * slope + 1e-15 * descent.abs() {
+            advance(problem, g, ws, t);
+            return true;
+        }
+        t *= 0.5;
+    }
+    false
+}
+
+/// Take the step up to where group `leaving` is nearest to zero and put it at zero, if that lowers the cost.
+/// Otherwise the step is left as it was.
+fn vanish(
+    problem: &Problem<'_>,
+    g: &mut [f64],
+    ws: &mut Workspace,
+    size: usize,
+    nearest: f64,
+    leaving: usize,
+) -> bool {
+    ws.packed[..size].copy_from_slice(&ws.step[..size]);
+    for (i, at) in positions(problem, &ws.active) {
+        ws.step[at] = if problem.range(leaving).contains(&i) { -g[i] } else { nearest * ws.step[at] };
+    }
+    let descent = product_with_step(problem, ws);
+    let curvature = dot(&ws.image[..size], &ws.step[..size]);
+    if 0.5 * curvature - descent + penalty_change(problem, g, ws, 1.0) < 0.0 {
+        advance(problem, g, ws, 1.0);
+        return true;
+    }
+    ws.step[..size].copy_from_slice(&ws.packed[..size]);
+    false
+}
+
+/// image = H step on the active groups; returns νᵀ step.
+fn product_with_step(problem: &Problem<'_>, ws: &mut Workspace) -> f64 {
     for (i, at) in positions(problem, &ws.active) {
         let mut product = 0.0;
         let mut column = 0;
@@ -305,37 +366,31 @@ fn search(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, size: usize)
         }
         ws.image[at] = product;
     }
-    let curvature = dot(&ws.image[..size], &ws.step[..size]);
-    let mut t = (2.0 * nearest_zero(problem, g, ws)).min(1.0);
-    for _ in 0..30 {
-        let change = 0.5 * t * t * curvature - t * descent + penalty_change(problem, g, ws, t);
-        if change <= -1e-4 * t * slope + 1e-15 * descent.abs() {
-            for (i, at) in positions(problem, &ws.active) {
-                g[i] += t * ws.step[at];
-                ws.nu[i] -= t * ws.image[at];
-            }
-            return true;
-        }
-        t *= 0.5;
-    }
-    false
+    positions(problem, &ws.active).map(|(i, at)| ws.nu[i] * ws.step[at]).sum()
 }
 
-/// The first step length at which a penalised group is as close to zero as the step brings it.
-///
-/// On a singular active set the Newton step is long and the minimum lies where a group vanishes.
-fn nearest_zero(problem: &Problem<'_>, g: &[f64], ws: &Workspace) -> f64 {
-    let (mut nearest, mut at) = (f64::INFINITY, 0);
+/// g += t step, ν −= t image.
+fn advance(problem: &Problem<'_>, g: &mut [f64], ws: &mut Workspace, t: f64) {
+    for (i, at) in positions(problem, &ws.active) {
+        g[i] += t * ws.step[at];
+        ws.nu[i] -= t * ws.image[at];
+    }
+}
+
+/// The first step length at which a penalised group is as close to zero as the step brings it, and the group.
+fn nearest_zero(problem: &Problem<'_>, g: &[f64], ws: &Workspace) -> (f64, usize) {
+    let (mut nearest, mut leaving, mut at) = (f64::INFINITY, 0, 0);
     for &j in &ws.active {
         let range = problem.range(j);
         let step = &ws.step[at..at + range.len()];
         at += range.len();
         let toward = -dot(&g[range], step);
-        if problem.gamma[j] > 0.0 && toward > 0.0 {
-            nearest = f64::min(nearest, toward / dot(step, step));
+        if problem.gamma[j] > 0.0 && toward > 0.0 && toward < nearest * dot(step, step) {
+            nearest = toward / dot(step, step);
+            leaving = j;
         }
     }
-    nearest
+    (nearest, leaving)
 }
 
 /// Σ γ_j (‖g_j + t p_j‖ − ‖g_j‖)

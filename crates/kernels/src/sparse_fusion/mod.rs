@@ -21,6 +21,9 @@ use crate::{Error, Result, group_lasso, lasso};
 /// only cost digits.
 const SATURATION: f64 = 1e12;
 
+/// The refit frees this many suspects one by one, solving in between; should there be more, the rest at once.
+const ONE_BY_ONE: usize = 8;
+
 /// The estimator.
 #[derive(Debug, Clone)]
 pub struct SparseFusion {
@@ -52,6 +55,7 @@ pub struct State {
 struct Scratch {
     nu: Vec<f64>,
     gamma: Vec<f64>,
+    gamma_before: Vec<f64>,
     zeta: Vec<f64>,
     x_s: Vec<f64>,
     projection: Vec<f64>,
@@ -105,6 +109,7 @@ impl SparseFusion {
         Scratch {
             nu: vec![0.0; d],
             gamma: self.m.gamma.clone(),
+            gamma_before: self.m.gamma.clone(),
             zeta: vec![0.0; self.m.dims.channels * n],
             x_s: vec![0.0; n - self.flat],
             projection: self.projection.scratch(),
@@ -168,12 +173,13 @@ impl SparseFusion {
                 Solver::Groups(ws) => group_lasso::solve(&problem, &mut state.g, ws),
             };
             outcome = Outcome { iterations: outcome.iterations + solved.iterations, gap: solved.gap };
-            let seat_left = self.freed(&scratch.gamma) < absent + seats;
-            let Some(sensor) = self.accused(&state.g, &scratch.gamma).filter(|_| seat_left) else { break };
-            let elements = self.elements_of(sensor);
-            free(&mut scratch.gamma, &m.groups, elements.clone());
+            let accused = self.freed(&scratch.gamma) - absent;
+            let wave = if accused < ONE_BY_ONE { 1 } else { seats };
+            if !self.free_accused(&state.g, scratch, wave.min(seats - accused)) {
+                break;
+            }
             if !self.free_sensors_are_determined(scratch) {
-                restore(&mut scratch.gamma, m, elements);
+                scratch.gamma.copy_from_slice(&scratch.gamma_before);
                 determined = false;
                 break;
             }
@@ -213,6 +219,16 @@ impl SparseFusion {
         (0..self.m.dims.sensors)
             .filter(|&sensor| is_free(gamma, &self.m.groups, self.elements_of(sensor)))
             .count()
+    }
+
+    /// Take the penalty from up to `count` suspected sensors, the largest ‖f_i‖ first. False if there is none.
+    fn free_accused(&self, g: &[f64], scratch: &mut Scratch, count: usize) -> bool {
+        scratch.gamma_before.copy_from_slice(&scratch.gamma);
+        for freed in 0..count {
+            let Some(sensor) = self.accused(g, &scratch.gamma) else { return freed > 0 };
+            free(&mut scratch.gamma, &self.m.groups, self.elements_of(sensor));
+        }
+        count > 0
     }
 
     /// The penalised sensor with the largest ‖f_i‖, if it is suspected.
@@ -407,15 +423,6 @@ fn free(gamma: &mut [f64], groups: &[usize], elements: Range<usize>) {
     for (value, &start) in gamma.iter_mut().zip(groups) {
         if elements.contains(&start) {
             *value = 0.0;
-        }
-    }
-}
-
-/// Give every penalty group among these elements its penalty back.
-fn restore(gamma: &mut [f64], m: &Matrices, elements: Range<usize>) {
-    for ((value, own), start) in gamma.iter_mut().zip(&m.gamma).zip(&m.groups) {
-        if elements.contains(start) {
-            *value = *own;
         }
     }
 }
