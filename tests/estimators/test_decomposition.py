@@ -95,14 +95,16 @@ def test_a_double_integrator_on_two_axes_is_refused_by_the_paper_form_only() -> 
     A, C = np.kron(np.eye(2), axis), np.kron(np.eye(2), [[1.0, 0.0]])
     Q = np.kron(np.eye(2), np.diag([0.1, 0.1]))
     sensors = [Sensor(f"axis {i}{j}", C=row, R=1.0) for i, row in enumerate(C) for j in range(3)]
-    with pytest.raises(DesignError, match="derogatory.*robust"):
+    with pytest.raises(DesignError, match=r"derogatory.*robust"):
         SparseFusion(Plant(A, Q, sensors), form="paper", gamma=1.0)
     smallest = np.linalg.eigvalsh(SparseFusion(Plant(A, Q, sensors)).decomposition.W)[0]
     assert smallest >= 1 - 1e-12
 
 
 def test_a_shared_eigenvalue_is_refused_by_the_paper_form_only() -> None:
-    plant = Plant([[0.0, 0.0], [0.0, 0.5]], np.eye(2), [Sensor("a", C=[[1, 1]], R=1), Sensor("b", C=[[0, 1]], R=1)])
+    plant = Plant(
+        [[0.0, 0.0], [0.0, 0.5]], np.eye(2), [Sensor("a", C=[[1, 1]], R=1), Sensor("b", C=[[0, 1]], R=1)]
+    )
     with pytest.raises(DesignError, match=r"share the eigenvalue 0.*robust"):
         SparseFusion(plant, form="paper", gamma=1.0)
     assert SparseFusion(plant).decomposition.residual < 1e-12
@@ -114,13 +116,17 @@ def test_an_ill_conditioned_jordan_basis_is_refused() -> None:
 
 
 def test_a_mode_that_nobody_sees_and_that_does_not_decay_is_refused_by_name() -> None:
-    plant = Plant(np.diag([1.0, 0.5]), np.eye(2), [Sensor("a", C=[[0, 1]], R=1)], state_names=["tank", "pipe"])
+    plant = Plant(
+        np.diag([1.0, 0.5]), np.eye(2), [Sensor("a", C=[[0, 1]], R=1)], state_names=["tank", "pipe"]
+    )
     with pytest.raises(DesignError, match="tank"):
         SparseFusion(plant)
 
 
 def test_a_mode_on_the_unit_circle_without_noise_is_refused_by_name() -> None:
-    plant = Plant(np.eye(2), np.diag([1.0, 0.0]), [Sensor("a", C=np.eye(2), R=1)], state_names=["tank", "pipe"])
+    plant = Plant(
+        np.eye(2), np.diag([1.0, 0.0]), [Sensor("a", C=np.eye(2), R=1)], state_names=["tank", "pipe"]
+    )
     with pytest.raises(DesignError, match="pipe"):
         SparseFusion(plant)
 
@@ -138,7 +144,7 @@ def test_a_time_varying_plant_is_refused() -> None:
 
 
 def random_plant(rng: np.random.Generator) -> Plant:
-    """Any plant with n ≤ 12: stable, unstable, repeated eigenvalues, Jordan blocks, singular A, correlated R."""
+    """Any plant with n ≤ 12: stable or not, repeated eigenvalues, Jordan blocks, singular A, correlated R."""
     n, m = int(rng.integers(1, 13)), int(rng.integers(1, 9))
     A = rng.standard_normal((n, n))
     A *= rng.uniform(0.3, 1.3) / max(1e-9, float(np.abs(np.linalg.eigvals(A)).max()))

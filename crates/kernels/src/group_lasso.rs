@@ -9,7 +9,7 @@ use crate::linalg::{axpy, cholesky, cholesky_solve, dot, norm};
 use crate::penalty::{Outcome, Problem};
 
 /// The active set stops growing once the relative gap is below this.
-const TARGET: f64 = 1e-11;
+const TARGET: f64 = 1e-14;
 /// Violations of ‖ν_j‖ ≤ γ_j below this share of γ_j are rounding.
 const TOLERANCE: f64 = 1e-12;
 /// Newton stops when every active group's stationarity is within this share of its γ.
