@@ -1,7 +1,9 @@
 //! The Kalman filter: UD factors, one channel at a time, gains cached once they repeat.
 //!
+//! ```text
 //!     correct   K = P⁻Cᵀ(C P⁻Cᵀ + R)⁻¹,  x = x⁻ + K (y − C x⁻ − D u),  P = (I − K C) P⁻
 //!     predict   x⁻ = A x + B u,  P⁻ = A P Aᵀ + Q
+//! ```
 //!
 //! # References
 //! Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*.
