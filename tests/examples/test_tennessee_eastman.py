@@ -1,5 +1,6 @@
 """The chemical plant, run as a user runs it."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,12 @@ from securestate import Plant
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "tennessee-eastman"
 PRESSURE, TEMPERATURE = "XMEAS 7 reactor pressure", "XMEAS 11 separator temperature"
 HOUR = 20  # samples
+
+
+def words(page: Path) -> str:
+    """The text of a page without its tags."""
+    text = re.sub(r"</?span>", "", page.read_text(encoding="utf-8"))
+    return text.replace("\xa0", " ")
 
 
 def call(*words: object) -> subprocess.CompletedProcess[str]:
