@@ -71,9 +71,7 @@ def test_a_lie_is_found_in_time_and_measured_within_three_percent(
 def test_the_report_exists_and_names_the_liars(done: tuple[Path, str]) -> None:
     report = done[0] / "report.html"
     assert str(report) in done[1].splitlines()[-1]
-    assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in report.read_text(
-        encoding="utf-8"
-    ).replace("\xa0", " ")
+    assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in words(report)
 
 
 def test_the_attacked_record_differs_from_the_clean_one_in_the_lies_only(done: tuple[Path, str]) -> None:
