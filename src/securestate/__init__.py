@@ -10,13 +10,14 @@ from securestate.errors import (
     SecurestateWarning,
     ShapeError,
 )
-from securestate.estimators import Estimator, Filter, KalmanFilter, Run, SparseFusion, Status
+from securestate.estimators import Estimate, Estimator, Filter, KalmanFilter, Run, SparseFusion, Status
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 
 __all__ = [
     "Belief",
     "DesignError",
+    "Estimate",
     "Estimator",
     "Filter",
     "InputError",
