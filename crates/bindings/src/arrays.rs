@@ -41,7 +41,7 @@ pub fn units(
     })
 }
 
-/// The arrays of a record by name, shape (runs, steps, …).
+/// The arrays of a record by name, shape (runs, steps, …); read-only where all runs share one copy.
 pub fn record(py: Python<'_>, record: Record) -> PyResult<Bound<'_, PyDict>> {
     let (runs, steps) = (record.runs, record.steps);
     let (n, m, sensors) = (record.dims.states, record.dims.channels, record.dims.sensors);
@@ -65,6 +65,10 @@ pub fn record(py: Python<'_>, record: Record) -> PyResult<Bound<'_, PyDict>> {
 }
 
 fn put<T: Element>(arrays: &Bound<'_, PyDict>, name: &str, data: Vec<T>, shape: &[usize]) -> PyResult<()> {
-    let flat = PyArray1::from_vec(arrays.py(), data);
-    arrays.set_item(name, flat.reshape(shape)?)
+    let (py, whole) = (arrays.py(), shape.iter().product::<usize>());
+    if data.len() == whole {
+        return arrays.set_item(name, PyArray1::from_vec(py, data).reshape(shape)?);
+    }
+    let one = PyArray1::from_vec(py, data).reshape(&shape[1..])?;
+    arrays.set_item(name, py.import("numpy")?.call_method1("broadcast_to", (one, shape.to_vec()))?)
 }

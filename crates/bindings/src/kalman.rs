@@ -3,7 +3,7 @@
 use numpy::PyUntypedArrayMethods;
 use pyo3::prelude::*;
 use securestate_kernels::kalman::Kalman;
-use securestate_kernels::model::{Matrices, Model};
+use securestate_kernels::kalman::model::{Matrices, Model};
 use securestate_kernels::{Design, Error, Result};
 
 use crate::arrays::{self, Array};

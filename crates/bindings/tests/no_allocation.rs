@@ -5,7 +5,7 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use securestate_kernels::kalman::Kalman;
-use securestate_kernels::model::{Matrices, Model};
+use securestate_kernels::kalman::model::{Matrices, Model};
 use securestate_kernels::projection::{Blocks, Projection};
 use securestate_kernels::sparse_fusion::{self, SparseFusion};
 use securestate_kernels::{Design, Dims, Kernel, Record, Units};

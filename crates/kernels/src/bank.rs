@@ -5,7 +5,8 @@ use std::sync::Arc;
 use rayon::prelude::*;
 
 use crate::codec::{Decoder, Encoder, Fingerprint};
-use crate::record::RunRecord;
+use crate::estimator::PlannedRun;
+use crate::lanes::LANES;
 use crate::{Dims, Error, Estimator, Output, Record, Result, Units};
 
 /// Marks a saved filter state and its layout.
@@ -70,14 +71,20 @@ pub struct Design<E> {
 /// One filter state per run.
 struct Bank<E: Estimator> {
     design: Arc<Design<E>>,
-    runs: Vec<Run<E::State>>,
+    states: Vec<E::State>,
+    scratch: Scratch,
 }
 
-#[derive(Clone)]
-struct Run<S> {
-    state: S,
+/// A sample in normalised units.
+struct Scratch {
     y: Vec<f64>,
     u: Vec<f64>,
+}
+
+impl Scratch {
+    fn new(dims: Dims) -> Self {
+        Self { y: vec![0.0; dims.channels], u: vec![0.0; dims.inputs] }
+    }
 }
 
 impl<E: Estimator + 'static> Design<E> {
@@ -104,26 +111,88 @@ impl<E: Estimator + 'static> Design<E> {
             .finish()
     }
 
-    fn run(&self, state: E::State) -> Run<E::State> {
+    fn bank(self: &Arc<Self>, states: Vec<E::State>) -> Box<dyn Filter> {
+        let scratch = Scratch::new(self.estimator.dims());
+        Box::new(Bank { design: Arc::clone(self), states, scratch })
+    }
+
+    /// Samples `from..to` of every run, each by itself.
+    fn advance(
+        &self,
+        runs: &mut [PlannedRun<'_, E::State>],
+        from: usize,
+        plan: Option<&E::Plan>,
+    ) -> Result<()> {
+        let count = runs.len();
+        (runs.par_iter_mut().enumerate())
+            .try_for_each(|(r, run)| self.finish(run, from, plan).map_err(|error| place(error, r, count)))
+    }
+
+    /// The same for runs that share a plan; the first reports for all what the data do not change.
+    fn advance_planned(
+        &self,
+        runs: &mut [PlannedRun<'_, E::State>],
+        from: usize,
+        plan: &E::Plan,
+    ) -> Result<()> {
+        let count = runs.len();
+        let Some((lead, others)) = runs.split_first_mut() else { return Ok(()) };
+        self.finish(lead, from, Some(plan)).map_err(|error| place(error, 0, count))?;
+        others.par_chunks_mut(LANES).enumerate().try_for_each(|(i, runs)| {
+            if self.estimator.run_planned(plan, &self.units, runs) {
+                return Ok(());
+            }
+            let refuse = |(lane, run)| {
+                self.check(run, from).map_err(|error| place(error, 1 + i * LANES + lane, count))
+            };
+            runs.iter().enumerate().try_for_each(refuse)
+        })
+    }
+
+    /// Whether all numbers of a run are acceptable.
+    fn check(&self, run: &PlannedRun<'_, E::State>, from: usize) -> Result<()> {
         let dims = self.estimator.dims();
-        Run { state, y: vec![0.0; dims.channels], u: vec![0.0; dims.inputs] }
+        let mut scratch = Scratch::new(dims);
+        (0..run.y.len() / dims.channels).try_for_each(|i| {
+            let (y, u) = (chunk(run.y, i, dims.channels), chunk(run.u, i, dims.inputs));
+            self.normalise(y, u, &mut scratch).map_err(|error| at_sample(error, from + i))
+        })
+    }
+
+    fn normalise(&self, y: &[f64], u: &[f64], scratch: &mut Scratch) -> Result<()> {
+        self.units.normalise_measurement(y, &mut scratch.y)?;
+        self.units.normalise_input(u, &mut scratch.u)
+    }
+
+    /// All samples of one run, the first of which is sample `from`.
+    fn finish(&self, run: &mut PlannedRun<'_, E::State>, from: usize, plan: Option<&E::Plan>) -> Result<()> {
+        let Dims { channels: m, inputs: p, .. } = self.estimator.dims();
+        let mut scratch = Scratch::new(self.estimator.dims());
+        for i in 0..run.y.len() / m {
+            let sample = (chunk(run.y, i, m), chunk(run.u, i, p));
+            self.step(run.state, &mut scratch, sample, plan.map(|plan| (plan, i)), &mut run.record.at(i))
+                .map_err(|error| at_sample(error, from + i))?;
+        }
+        if let Some(plan) = plan {
+            self.estimator.leave_plan(plan, run.state);
+        }
+        Ok(())
     }
 
     fn step(
         &self,
-        run: &mut Run<E::State>,
-        y: &[f64],
-        u: &[f64],
+        state: &mut E::State,
+        scratch: &mut Scratch,
+        (y, u): (&[f64], &[f64]),
         plan: Option<(&E::Plan, usize)>,
         out: &mut Output<'_>,
     ) -> Result<()> {
-        self.units.normalise_measurement(y, &mut run.y)?;
-        self.units.normalise_input(u, &mut run.u)?;
+        self.normalise(y, u, scratch)?;
         match plan {
             Some((plan, k)) => {
-                self.estimator.step_planned(plan, k, &mut run.state, &run.y, &run.u, out)?;
+                self.estimator.step_planned(plan, k, state, &scratch.y, &scratch.u, out)?;
             }
-            None => self.estimator.step(&mut run.state, &run.y, &run.u, out)?,
+            None => self.estimator.step(state, &scratch.y, &scratch.u, out)?,
         }
         self.units.restore(out);
         Ok(())
@@ -143,11 +212,8 @@ impl<E: Estimator + 'static> Kernel for Handle<E> {
 
     fn start(&self, means: &[f64], covariance: Option<&[f64]>) -> Result<Box<dyn Filter>> {
         let n = self.dims().states;
-        let runs = means
-            .chunks(n)
-            .map(|mean| Ok(self.0.run(self.0.estimator.start(mean, covariance)?)))
-            .collect::<Result<Vec<_>>>()?;
-        Ok(Box::new(Bank { design: Arc::clone(&self.0), runs }))
+        let states = means.chunks(n).map(|mean| self.0.estimator.start(mean, covariance));
+        Ok(self.0.bank(states.collect::<Result<Vec<_>>>()?))
     }
 
     fn resume(&self, blob: &[u8]) -> Result<Box<dyn Filter>> {
@@ -160,9 +226,9 @@ impl<E: Estimator + 'static> Kernel for Handle<E> {
                 "this filter state was saved by another estimator or another plant".into(),
             ));
         }
-        let run = self.0.run(self.0.estimator.load(&mut from)?);
+        let state = self.0.estimator.load(&mut from)?;
         from.finish()?;
-        Ok(Box::new(Bank { design: Arc::clone(&self.0), runs: vec![run] }))
+        Ok(self.0.bank(vec![state]))
     }
 }
 
@@ -171,78 +237,60 @@ impl<E: Estimator + 'static> Filter for Bank<E> {
         let dims = self.design.estimator.dims();
         Error::check_len("y", dims.channels, y.len())?;
         Error::check_len("u", dims.inputs, u.len())?;
-        match self.runs.as_mut_slice() {
-            [run] => self.design.step(run, y, u, None, out),
+        match self.states.as_mut_slice() {
+            [state] => self.design.step(state, &mut self.scratch, (y, u), None, out),
             runs => Err(Error::input("filter", "a single run", format!("{} runs", runs.len()))),
         }
     }
 
     fn advance(&mut self, block: Block<'_>, from: usize, to: usize, record: &mut Record) -> Result<()> {
         let dims = self.design.estimator.dims();
-        let (runs, steps) = (self.runs.len(), block.steps);
+        let (runs, steps) = (self.states.len(), block.steps);
         Error::check_len("y", runs * steps * dims.channels, block.y.len())?;
         let shared = block.u.len() == steps * dims.inputs;
         if !shared {
             Error::check_len("u", runs * steps * dims.inputs, block.u.len())?;
         }
-        let plan = self.plan(&block, from, to);
-        let (design, plan) = (&self.design, plan.as_ref());
-        let rows = record.split();
-        self.runs.par_iter_mut().zip(rows).enumerate().try_for_each(|(r, (run, row))| {
-            let y = chunk(block.y, r, steps * dims.channels);
-            let u = chunk(block.u, if shared { 0 } else { r }, steps * dims.inputs);
-            advance_run(design, run, (y, u), (from, to), plan, row).map_err(|error| place(error, r, runs))
-        })
+        let width = if shared { 0 } else { steps * dims.inputs };
+        let y = |r: usize| &block.y[r * steps * dims.channels..][from * dims.channels..to * dims.channels];
+        let u = |r: usize| &block.u[r * width..][from * dims.inputs..to * dims.inputs];
+        let plan = self.plan(&(0..runs).map(y).collect::<Vec<_>>(), to - from);
+        if plan.is_none() {
+            record.unshare();
+        }
+        let alone = record.copies == runs;
+        let mut jobs: Vec<PlannedRun<'_, E::State>> = (self.states.iter_mut())
+            .zip(record.split_between(from, to))
+            .enumerate()
+            .map(|(r, (state, record))| PlannedRun { state, y: y(r), u: u(r), record })
+            .collect();
+        match &plan {
+            Some(plan) if !alone => self.design.advance_planned(&mut jobs, from, plan),
+            plan => self.design.advance(&mut jobs, from, plan.as_ref()),
+        }
     }
 
     fn save(&self) -> Result<Vec<u8>> {
-        let [run] = self.runs.as_slice() else {
+        let [state] = self.states.as_slice() else {
             return Err(Error::input("filter", "a single run", "several runs"));
         };
         let mut to = Encoder::default();
         to.integer(MAGIC);
         to.integer(self.design.fingerprint());
-        self.design.estimator.save(&run.state, &mut to);
+        self.design.estimator.save(state, &mut to);
         Ok(to.finish())
     }
 }
 
 impl<E: Estimator> Bank<E> {
-    /// Shared work for samples `from..to`; only worth it for more than one run.
-    fn plan(&self, block: &Block<'_>, from: usize, to: usize) -> Option<E::Plan> {
-        if self.runs.len() < 2 {
+    /// Work that the runs share over the next samples; only worth it for more than one run.
+    fn plan(&self, y: &[&[f64]], steps: usize) -> Option<E::Plan> {
+        if y.len() < 2 {
             return None;
         }
-        let m = self.design.estimator.dims().channels;
-        let mut y = Vec::with_capacity(self.runs.len() * (to - from) * m);
-        for r in 0..self.runs.len() {
-            let rows = chunk(block.y, r, block.steps * m);
-            y.extend_from_slice(&rows[from * m..to * m]);
-        }
-        let states: Vec<&E::State> = self.runs.iter().map(|run| &run.state).collect();
-        self.design.estimator.plan(&states, &y, to - from)
+        let states: Vec<&E::State> = self.states.iter().collect();
+        self.design.estimator.plan(&states, y, steps)
     }
-}
-
-fn advance_run<E: Estimator + 'static>(
-    design: &Design<E>,
-    run: &mut Run<E::State>,
-    (y, u): (&[f64], &[f64]),
-    (from, to): (usize, usize),
-    plan: Option<&E::Plan>,
-    mut row: RunRecord<'_>,
-) -> Result<()> {
-    let dims = design.estimator.dims();
-    for k in from..to {
-        let (yk, uk) = (chunk(y, k, dims.channels), chunk(u, k, dims.inputs));
-        design
-            .step(run, yk, uk, plan.map(|plan| (plan, k - from)), &mut row.at(k))
-            .map_err(|error| at_sample(error, k))?;
-    }
-    if let Some(plan) = plan {
-        design.estimator.leave_plan(plan, &mut run.state);
-    }
-    Ok(())
 }
 
 fn chunk(data: &[f64], index: usize, width: usize) -> &[f64] {

@@ -1,7 +1,8 @@
 //! The one trait every algorithm implements, and what it reads and writes per sample.
 
-use crate::Result;
 use crate::codec::{Decoder, Encoder};
+use crate::record::RunRecord;
+use crate::{Result, Units};
 
 /// Sizes that the drivers need.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -55,6 +56,19 @@ pub struct Output<'a> {
     pub status: &'a mut u8,
 }
 
+/// One of several runs over a block of samples, in file units.
+#[derive(Debug)]
+pub struct PlannedRun<'a, S> {
+    /// Filter state.
+    pub state: &'a mut S,
+    /// (steps, m)
+    pub y: &'a [f64],
+    /// (steps, p)
+    pub u: &'a [f64],
+    /// Where the results go.
+    pub record: RunRecord<'a>,
+}
+
 /// An estimator is an immutable value; its filter state is explicit.
 pub trait Estimator: Send + Sync {
     /// Everything that changes from sample to sample, scratch space included.
@@ -81,8 +95,8 @@ pub trait Estimator: Send + Sync {
     fn step(&self, state: &mut Self::State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()>;
 
     /// Work shared by all runs over the next `steps` samples, or None if there is nothing to share.
-    /// `y` is (runs, steps, m) in file units: only which entries are missing may be used.
-    fn plan(&self, _states: &[&Self::State], _y: &[f64], _steps: usize) -> Option<Self::Plan> {
+    /// `y` holds (steps, m) of every run in file units: only which entries are missing may be used.
+    fn plan(&self, _states: &[&Self::State], _y: &[&[f64]], _steps: usize) -> Option<Self::Plan> {
         None
     }
 
@@ -100,6 +114,20 @@ pub trait Estimator: Send + Sync {
         out: &mut Output<'_>,
     ) -> Result<()> {
         self.step(state, y, u, out)
+    }
+
+    /// Up to [`LANES`](crate::lanes::LANES) runs by all samples of a plan, bit for bit as
+    /// [`Estimator::step_planned`] and then [`Estimator::leave_plan`]; every estimator that plans offers it.
+    ///
+    /// Writes only what the data change: x, innovation and diagnostics. False if it met a number that [`Units`]
+    /// refuse.
+    fn run_planned(
+        &self,
+        _plan: &Self::Plan,
+        _units: &Units,
+        _runs: &mut [PlannedRun<'_, Self::State>],
+    ) -> bool {
+        false
     }
 
     /// Bring a state that only took planned steps up to date with the end of the plan.

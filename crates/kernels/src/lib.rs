@@ -4,22 +4,18 @@
 
 pub mod bank;
 pub mod codec;
-pub mod covariance;
 mod error;
 pub mod estimator;
-pub mod gains;
 pub mod group_lasso;
 pub mod kalman;
+pub mod lanes;
 pub mod lasso;
 pub mod linalg;
-pub mod model;
 pub mod penalty;
 pub mod projection;
 pub mod record;
 pub mod sparse_fusion;
-pub mod ud;
 pub mod units;
-pub mod whitening;
 
 pub use bank::{Block, Design, Filter, Kernel};
 pub use error::{Error, Result};

@@ -2,9 +2,9 @@
 #![allow(clippy::unwrap_used)]
 
 use proptest::prelude::*;
+use securestate_kernels::kalman::model::{Matrices, Model};
+use securestate_kernels::kalman::ud::Ud;
 use securestate_kernels::kalman::{Kalman, State};
-use securestate_kernels::model::{Matrices, Model};
-use securestate_kernels::ud::Ud;
 use securestate_kernels::{Estimator, Record};
 
 const SENSORS: [f64; 4] = [1e-8, 1e-3, 1.0, 1e8]; // variances of four channels
@@ -106,8 +106,7 @@ fn planned_steps_equal_plain_steps_to_the_bit_and_leave_the_same_state() {
         .collect();
     let (mut plain, mut planned) = (start.clone(), start.clone());
     let expected = reports(&filter, &mut plain, &y);
-    let both = [y.clone(), y.clone()].concat();
-    let plan = filter.plan(&[&start, &start], &both, 400).unwrap();
+    let plan = filter.plan(&[&start, &start], &[&y[..], &y], 400).unwrap();
     for (k, row) in y.chunks(4).enumerate() {
         let mut record = Record::new(filter.dims(), 3, 1, 1, true);
         filter.step_planned(&plan, k, &mut planned, row, &[], &mut record.split()[0].at(0)).unwrap();
@@ -128,9 +127,9 @@ fn runs_that_differ_in_covariance_or_in_gaps_share_nothing() {
     let two = filter.start(&[0.0; 4], Some(&wide)).unwrap();
     let mut gaps = [0.0; 16];
     gaps[13] = f64::NAN;
-    assert!(filter.plan(&[&one, &one], &[0.0; 16], 2).is_some());
-    assert!(filter.plan(&[&one, &two], &[0.0; 16], 2).is_none());
-    assert!(filter.plan(&[&one, &one], &gaps, 2).is_none());
+    assert!(filter.plan(&[&one, &one], &[&[0.0; 8][..]; 2], 2).is_some());
+    assert!(filter.plan(&[&one, &two], &[&[0.0; 8][..]; 2], 2).is_none());
+    assert!(filter.plan(&[&one, &one], &[&gaps[..8], &gaps[8..]], 2).is_none());
 }
 
 proptest! {

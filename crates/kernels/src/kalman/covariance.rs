@@ -1,9 +1,9 @@
 //! How the covariance of the Kalman filter moves on: the part of a step that does not see data.
 
-use crate::gains::{Gains, Scratch};
+use crate::kalman::gains::{Gains, Scratch};
+use crate::kalman::model::Model;
+use crate::kalman::ud::Ud;
 use crate::linalg::dot;
-use crate::model::Model;
-use crate::ud::Ud;
 
 /// The covariance recursion of one plant.
 #[derive(Debug, Clone)]

@@ -8,12 +8,20 @@
 //! # References
 //! Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*.
 
+pub mod covariance;
+pub mod gains;
+pub mod model;
+pub mod ud;
+pub mod whitening;
+
 use crate::codec::{Decoder, Encoder};
-use crate::covariance::{Covariance, Recursion};
-use crate::gains::{Gains, Scratch};
-use crate::model::Model;
-use crate::ud::Ud;
-use crate::{Dims, Error, Estimator, Output, Result};
+use crate::estimator::PlannedRun;
+use crate::kalman::covariance::{Covariance, Recursion};
+use crate::kalman::gains::{Gains, Scratch};
+use crate::kalman::model::Model;
+use crate::kalman::ud::Ud;
+use crate::lanes::{self, LANES, Lanes};
+use crate::{Dims, Error, Estimator, Output, Result, Units};
 
 /// Largest share of memory for gains that runs of a batch share, bytes.
 const PLAN: usize = 1 << 28;
@@ -142,11 +150,11 @@ impl Estimator for Kalman {
         Ok(())
     }
 
-    fn plan(&self, states: &[&State], y: &[f64], steps: usize) -> Option<Plan> {
+    fn plan(&self, states: &[&State], y: &[&[f64]], steps: usize) -> Option<Plan> {
         let (lead, others) = states.split_first()?;
-        let (pattern, rest) = y.split_at_checked(steps * self.model().dims.channels)?;
+        let (pattern, rest) = y.split_first()?;
         let alike = |other: &&State| other.k == lead.k && other.p.same(&lead.p);
-        if !others.iter().all(alike) || !rest.chunks(pattern.len()).all(|run| same_gaps(run, pattern)) {
+        if !others.iter().all(alike) || !rest.iter().all(|run| same_gaps(run, pattern)) {
             return None;
         }
         self.check_horizon((lead.k + steps).checked_sub(1)?).ok()?;
@@ -177,6 +185,38 @@ impl Estimator for Kalman {
         let State { k, x, scratch, next, .. } = state;
         self.advance_mean(&plan.gains[plan.index[i]], (k, x), (scratch, next), (y, u), out);
         Ok(())
+    }
+
+    fn run_planned(&self, plan: &Plan, units: &Units, runs: &mut [PlannedRun<'_, State>]) -> bool {
+        let (model, steps) = (self.model(), plan.index.len());
+        let (m, p) = (model.dims.channels, model.dims.inputs);
+        let (Some(last), Some(start)) = (runs.len().checked_sub(1), runs.first().map(|run| run.state.k))
+        else {
+            return true;
+        };
+        // Lanes without a run repeat the last one, and nobody looks at them.
+        let y: [&[f64]; LANES] = std::array::from_fn(|lane| runs[lane.min(last)].y);
+        let u: [&[f64]; LANES] = std::array::from_fn(|lane| runs[lane.min(last)].u);
+        let x: [&[f64]; LANES] = std::array::from_fn(|lane| &runs[lane.min(last)].state.x[..]);
+        let mut lanes = Lanes::new(model.dims, self.diagnostics().len());
+        lanes::gather(&x, &mut lanes.x);
+        for (i, &index) in plan.index.iter().enumerate() {
+            if !lanes.read(units, &y.map(|y| &y[i * m..]), &u.map(|u| &u[i * p..])) {
+                return false;
+            }
+            plan.gains[index].correct_lanes(model, start + i, &mut lanes);
+            for (lane, run) in runs.iter_mut().enumerate() {
+                lanes.write(units, lane, i, &mut run.record);
+            }
+            model.predict_lanes(start + i, &lanes.x, &lanes.u, &mut lanes.next);
+            std::mem::swap(&mut lanes.x, &mut lanes.next);
+        }
+        for (lane, run) in runs.iter_mut().enumerate() {
+            lanes::scatter(&lanes.x, lane, &mut run.state.x);
+            run.state.k += steps;
+            self.leave_plan(plan, run.state);
+        }
+        true
     }
 
     fn leave_plan(&self, plan: &Plan, state: &mut State) {

@@ -1,9 +1,10 @@
 //! The matrices of a plant in normalised units, laid out for the kernels.
 
 use crate::codec::Fingerprint;
+use crate::kalman::ud::{semidefinite_factor, transpose};
+use crate::kalman::whitening::Noise;
+use crate::lanes::{self, LANES, Lane};
 use crate::linalg::axpy;
-use crate::ud::{semidefinite_factor, transpose};
-use crate::whitening::Noise;
 use crate::{Dims, Error, Result};
 
 /// What a plant is made of; row-major. A and C may hold one matrix per sample, one after the other.
@@ -46,9 +47,11 @@ pub struct Model {
     pub q: Vec<f64>,
     a: Vec<f64>,
     a_t: Vec<f64>,
+    b: Vec<f64>,
     b_t: Vec<f64>,
     c: Vec<f64>,
     c_t: Vec<f64>,
+    d: Vec<f64>,
     d_t: Vec<f64>,
     fingerprint: u64,
 }
@@ -82,9 +85,11 @@ impl Model {
             a: given.a,
             a_t,
             b_t: transpose(&given.b, n, p),
+            b: given.b,
             c: given.c,
             c_t,
             d_t: transpose(&given.d, m, p),
+            d: given.d,
             channel_sensor: given.channel_sensor,
             fingerprint,
         })
@@ -126,6 +131,22 @@ impl Model {
         out.fill(0.0);
         add_product(1.0, at(&self.a_t, k, x.len() * x.len()), x, out);
         add_product(1.0, &self.b_t, u, out);
+    }
+
+    /// As [`Model::innovation`], to the bit, for several runs.
+    #[inline(always)]
+    pub fn innovation_lanes(&self, k: usize, x: &[Lane], (y, u): (&[Lane], &[Lane]), out: &mut [Lane]) {
+        out.copy_from_slice(y);
+        lanes::add_product(-1.0, self.c(k), x, out);
+        lanes::add_product(-1.0, &self.d, u, out);
+    }
+
+    /// As [`Model::predict`], to the bit, for several runs.
+    #[inline(always)]
+    pub fn predict_lanes(&self, k: usize, x: &[Lane], u: &[Lane], out: &mut [Lane]) {
+        out.fill([0.0; LANES]);
+        lanes::add_product(1.0, self.a(k), x, out);
+        lanes::add_product(1.0, &self.b, u, out);
     }
 }
 

@@ -3,10 +3,11 @@
 //! Which channels arrived fixes gains and covariances; the data part is a few products along contiguous memory.
 //! Runs that miss the same samples share the first part and stay equal to the bit.
 
+use crate::kalman::model::{Model, add_product};
+use crate::kalman::ud::Ud;
+use crate::kalman::whitening::{LogProduct, Whitening};
+use crate::lanes::{self, LANES, Lanes, zip};
 use crate::linalg::{axpy, dot};
-use crate::model::{Model, add_product};
-use crate::ud::Ud;
-use crate::whitening::{LogProduct, Whitening};
 use crate::{Dims, Output, Status};
 
 const LOG_2PI: f64 = 1.837_877_066_409_345_5;
@@ -163,6 +164,32 @@ impl Gains {
         }
         axpy(1.0, shift, x);
         self.report(model, nis, x, out);
+    }
+
+    /// As [`Gains::correct`], to the bit, for several runs; reports only what the data change.
+    #[inline(always)]
+    pub fn correct_lanes(&self, model: &Model, k: usize, runs: &mut Lanes) {
+        let n = runs.x.len();
+        model.innovation_lanes(k, &runs.x, (&runs.y, &runs.u), &mut runs.innovation);
+        let white = &mut runs.white[..self.count];
+        for (value, &channel) in white.iter_mut().zip(&self.channels) {
+            *value = runs.innovation[channel];
+        }
+        self.whitening.apply_lanes(white);
+        let shift = &mut runs.next;
+        shift.fill([0.0; LANES]);
+        let mut nis = [0.0; LANES];
+        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact(n));
+        for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
+            let surprise = zip(value, &lanes::dot(row, shift), |value, known| value - known);
+            nis = zip(&nis, &surprise, |nis, surprise| nis + surprise * surprise * precision);
+            lanes::axpy(&surprise, gain, shift);
+        }
+        for (x, shift) in runs.x.iter_mut().zip(shift) {
+            *x = zip(x, shift, |x, shift| x + shift);
+        }
+        let numbers = [nis.map(|nis| -0.5 * (self.log_det + nis)), nis, [self.count as f64; LANES]];
+        runs.diagnostics.copy_from_slice(&numbers);
     }
 
     fn report(&self, model: &Model, nis: f64, x: &[f64], out: &mut Output<'_>) {

@@ -2,6 +2,7 @@
 //!
 //! L is stored by rows from their first entry that is not zero, so independent channels cost nothing extra.
 
+use crate::lanes::{self, Lane};
 use crate::linalg::{axpy, dot};
 use crate::{Error, Result};
 
@@ -98,6 +99,16 @@ impl Whitening {
             let (coupling, scale) = split(self.row(i));
             let known = dot(coupling, &v[i - coupling.len()..i]);
             v[i] = (v[i] - known) / scale;
+        }
+    }
+
+    /// As [`Whitening::apply`], to the bit, for several runs.
+    #[inline(always)]
+    pub fn apply_lanes(&self, v: &mut [Lane]) {
+        for i in 0..v.len() {
+            let (coupling, scale) = split(self.row(i));
+            let known = lanes::dot(coupling, &v[i - coupling.len()..i]);
+            v[i] = lanes::zip(&v[i], &known, |v, known| (v - known) / scale);
         }
     }
 
