@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from securestate import (
@@ -187,3 +188,23 @@ def test_estimators_describe_themselves() -> None:
     plant = Plant([[0.5]], [[1.0]], [Sensor("a", C=[[1.0]], R=1.0)], name="tank")
     assert repr(KalmanFilter(plant)).startswith("KalmanFilter(Plant('tank'")
     assert "kalman_probability=0.95" in repr(SparseFusion(plant))
+
+
+def test_a_table_with_names_is_read_by_name() -> None:
+    y, u = records(1, 7)
+    table = pd.DataFrame(y[0], columns=["s1", "s2", "s3", "s4", "s5"])
+    for estimator in both():
+        by_name = estimator.run(table[["s5", "s3", "s1", "s2", "s4"]], u[0])
+        np.testing.assert_array_equal(by_name.x, estimator.run(y[0], u[0]).x)
+        with pytest.raises(InputError, match="y: expected the columns s1, s2, s3, s4, s5"):
+            estimator.run(table.rename(columns={"s2": "other"}), u[0])
+
+
+def test_a_prior_or_a_plant_of_the_wrong_kind_is_refused() -> None:
+    with pytest.raises(InputError, match="prior: expected a Belief or None, received list"):
+        KalmanFilter(liu()).start([0.0, 0.0, 0.0])  # type: ignore[arg-type]
+    for method in (KalmanFilter, SparseFusion):
+        with pytest.raises(
+            InputError, match=r"plant: expected a Plant; Plant\.load reads a file, received str"
+        ):
+            method("plant.toml")  # type: ignore[arg-type]

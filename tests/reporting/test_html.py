@@ -79,7 +79,7 @@ def headline_of(html: str) -> str:
 
 
 def test_the_headline_never_parts_a_number_from_its_word() -> None:
-    html = render(made_run(2, 2, liars=(0,), names=["XMEAS 11 separator temperature", "ok"]))
+    html = render(made_run(2, 3, liars=(0,), names=["XMEAS 11 separator temperature", "ok", "fine"]))
     assert headline_of(html).endswith("XMEAS\u00a011 separator temperature.")
 
 

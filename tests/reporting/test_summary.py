@@ -22,6 +22,18 @@ def test_the_verdict_names_every_liar_and_counts_all_sensors() -> None:
     assert summarise(made_run(liars=(1,))).verdict == "1 of 5 sensors lies: XMEAS 2."
 
 
+def test_a_majority_is_a_matter_of_the_plant_and_not_of_liars() -> None:
+    verdict = summarise(made_run(liars=(0, 1, 3))).verdict
+    assert verdict.startswith(
+        "3 of 5 sensors contradict the plant, too many to blame them: check its matrices"
+    )
+
+
+def test_a_filter_that_trusts_everybody_says_so() -> None:
+    run = replace(made_run(), estimator="KalmanFilter")
+    assert summarise(run).verdict == "KalmanFilter trusts every sensor: it does not look for liars."
+
+
 def test_a_quiet_run_has_no_suspect() -> None:
     summary = summarise(made_run())
     assert summary.verdict == "No sensor is suspected."

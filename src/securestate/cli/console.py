@@ -116,4 +116,4 @@ def _method(summary: Summary) -> Iterator[str]:
     if summary.fast_path is not None:
         yield f"Fast path (the answer is the Kalman filter's): {_share(summary.fast_path)} of the samples."
     if summary.estimator == "KalmanFilter":
-        yield "The Kalman filter trusts every sensor; --method sparse looks for liars."
+        yield "--method sparse looks for liars."

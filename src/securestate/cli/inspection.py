@@ -26,7 +26,8 @@ def inspect(path: Path) -> Exit:
     shown.print()
     shown.print(_sensors(plant))
     shown.print()
-    for line in [*_modes(plant), *(_says(name, refusal) for name, refusal in refusals.items())]:
+    says = (_says(name, refusal) for name, refusal in refusals.items())
+    for line in [*_modes(plant), *says, _seats(plant)]:
         shown.print(line)
     return Exit.DESIGN if all(refusals.values()) else Exit.CLEAN
 
@@ -67,6 +68,14 @@ def _modes(plant: Plant) -> list[str]:
         f"largest |eigenvalue| {size.max():.6g}.",
         "Detectable: " + (f"no, no sensor sees {', '.join(map(str, hidden))}." if hidden else "yes."),
     ]
+
+
+def _seats(plant: Plant) -> str:
+    seats = (plant.n_sensors - 1) // 2
+    return (
+        f"Of {plant.n_sensors} sensors at most {seats} can be outvoted when they lie, "
+        "and fewer where only some of them see what the liars report."
+    )
 
 
 def _refusal(plant: Plant, name: str) -> DesignError | None:

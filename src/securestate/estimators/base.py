@@ -118,7 +118,8 @@ class Estimator:
         """Estimate a whole record, or a batch of records in parallel.
 
         Args:
-            y: measurements, shape (T, m) or (runs, T, m), sensor units; NaN marks a missing channel.
+            y: measurements, shape (T, m) or (runs, T, m), sensor units; NaN marks a missing channel. A table
+                with column names, such as a DataFrame, is read by the names of the channels.
             u: inputs, shape (T, p), or (runs, T, p) for a batch; needed if and only if the plant has inputs.
             prior: belief about x[0] before y[0]; None means mean zero and steady state.
             covariance: False leaves `Run.P` None, which saves n² numbers per sample.
@@ -151,6 +152,8 @@ class Estimator:
     def _prior(self, prior: Belief | None) -> tuple[Float, Float | None]:
         if prior is None:
             return np.zeros(self.plant.n), None
+        if not isinstance(prior, Belief):
+            raise InputError("prior", "a Belief or None", type(prior).__name__)
         if prior.x.shape != (self.plant.n,):
             raise ShapeError("prior.x", f"shape ({self.plant.n},)", f"shape {prior.x.shape}")
         return np.ascontiguousarray(prior.x), None if prior.P is None else np.ascontiguousarray(prior.P)
@@ -158,7 +161,7 @@ class Estimator:
 
 def _measurements(y: ArrayLike, plant: Plant, axes: tuple[str, ...]) -> Float:
     """Measurements as a contiguous float array of shape (*axes, m)."""
-    y = _floats("y", y)
+    y = _floats("y", _in_order("y", y, plant.channel_names))
     if y.ndim != len(axes) + 1 or y.shape[-1] != plant.m or 0 in y.shape:
         expected = f"shape ({', '.join(axes)}, {plant.m})" + (" or (runs, T, m)" if len(axes) == 1 else "")
         raise ShapeError("y", expected, f"shape {y.shape}")
@@ -172,10 +175,21 @@ def _inputs(u: ArrayLike | None, plant: Plant, y_shape: tuple[int, ...]) -> Floa
         if p:
             raise ShapeError("u", f"shape ({steps}, {p}), because the plant has inputs", "None")
         return np.zeros((steps, 0))
-    u = _floats("u", u)
+    u = _floats("u", _in_order("u", u, plant.input_names))
     if u.shape not in ((steps, p), (*y_shape[:-1], p)):
         raise ShapeError("u", f"shape {(steps, p)}", f"shape {u.shape}")
     return u
+
+
+def _in_order(name: str, values: ArrayLike, names: tuple[str, ...]) -> ArrayLike:
+    """The columns of a table with column names, such as a DataFrame, in the plant's order; others as is."""
+    table: Any = values
+    if not hasattr(table, "columns") or not hasattr(table, "to_numpy"):
+        return values
+    columns = [str(column) for column in table.columns]
+    if sorted(columns) != sorted(names):
+        raise InputError(name, f"the columns {', '.join(names)}", ", ".join(columns))
+    return np.asarray(table[list(names)].to_numpy())
 
 
 def _floats(name: str, values: ArrayLike) -> Float:

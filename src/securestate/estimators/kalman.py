@@ -7,7 +7,7 @@ from typing import final
 import numpy as np
 
 from securestate import _kernels
-from securestate.errors import DesignError
+from securestate.errors import DesignError, InputError
 from securestate.estimators._steady_state import SteadyState, steady_state
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
@@ -53,6 +53,8 @@ class KalmanFilter(Estimator):
     no_steady_state: str
 
     def __init__(self, plant: Plant) -> None:
+        if not isinstance(plant, Plant):
+            raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
         self.steady, self.no_steady_state = None, ""
         try:
             self.steady = steady_state(plant)

@@ -175,6 +175,8 @@ class SparseFusion(Estimator):
 def _check_settings(
     plant: Plant, form: str, probability: float | None, gamma: float | NDArray[np.float64] | None
 ) -> None:
+    if not isinstance(plant, Plant):
+        raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
     if plant.time_varying:
         raise DesignError(
             "sparse fusion needs a time-invariant plant", "use KalmanFilter for A or C that change"

@@ -93,8 +93,6 @@ def _remarks(summary: Summary) -> list[str]:
     remarks = []
     if silent:
         remarks.append(f"Sent nothing during the whole run: {enumerate_names(silent)}.")
-    if all(s.first_alarm is None for s in summary.sensors) and summary.estimator == "KalmanFilter":
-        remarks.append("KalmanFilter trusts every sensor: it does not look for liars.")
     bad = sum(s.count for s in summary.statuses if s.name != "OK")
     if bad:
         remarks.append(f"{bad:,} of {summary.samples:,} samples have a status other than OK; see Status.")

@@ -104,11 +104,18 @@ class Summary:
     def verdict_with(self, mark: Callable[[str], str]) -> str:
         """The verdict with every name in it as `mark` gives it, for instance as HTML."""
         liars = self.liars
+        if 2 * len(liars) >= len(self.sensors) > 1:
+            return (
+                f"{len(liars)} of {len(self.sensors)} sensors contradict the plant, too many to blame them: "
+                "check its matrices, units and inputs, and whether the state starts at the operating point."
+            )
         if liars:
             count = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
             return f"{count}: {enumerate_names(tuple(map(mark, liars)))}."
         if any(s.first_alarm for s in self.sensors):
             return "No sensor lies persistently; there are isolated alarms."
+        if self.estimator == "KalmanFilter":
+            return "KalmanFilter trusts every sensor: it does not look for liars."
         return "No sensor is suspected."
 
 
