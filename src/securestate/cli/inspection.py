@@ -72,10 +72,9 @@ def _modes(plant: Plant) -> list[str]:
 
 def _seats(plant: Plant) -> str:
     seats = (plant.n_sensors - 1) // 2
-    return (
-        f"Of {plant.n_sensors} sensors at most {seats} can be outvoted when they lie, "
-        "and fewer where only some of them see what the liars report."
-    )
+    if not seats:
+        return "Too few sensors: when one lies, the others cannot outvote it."
+    return f"At most {seats} of {plant.n_sensors} sensors can be outvoted, fewer where few see the same mode."
 
 
 def _refusal(plant: Plant, name: str) -> DesignError | None:
