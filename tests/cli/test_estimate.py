@@ -235,3 +235,12 @@ def test_names_with_markup_and_other_alphabets_are_shown_as_they_are(command: Co
     assert end.code == 0
     for sensor in sensors:
         assert sensor.name in end.out
+
+
+def test_a_sample_time_that_does_not_fit_the_file_is_pointed_at(command: Command, folder: Path) -> None:
+    frame = pd.read_csv(folder / "honest.csv").iloc[::10]
+    frame.to_csv(folder / "sparse.csv", index=False)
+    end = command("estimate", "--plant", "plant.toml", "--data", "sparse.csv", "--method", "kalman")
+    assert "Most samples are inserted: the plant asks for one every 0.5 s; check dt." in " ".join(
+        end.out.split()
+    )

@@ -90,6 +90,10 @@ def remarks(data: Measurements, estimator: Estimator) -> list[str]:
         said.append(
             f"{_count(data.gaps, 'sample')} inserted where the file has none; all channels missing there."
         )
+    if 2 * data.gaps > len(data.y):
+        said.append(
+            f"Most samples are inserted: the plant asks for one every {estimator.plant.dt:g} s; check dt."
+        )
     if data.held:
         said.append(f"{_count(data.held, 'sample')} with inputs held at their last known value.")
     if data.absent:
