@@ -178,7 +178,7 @@ def test_a_complex_pair_in_real_form_is_the_complex_problem() -> None:
         zeta = np.kron(np.eye(6), parts.pair.T) @ zeta + np.kron(y[k], parts.pair.b)
         metrics = [np.eye(len(group)) for group in groups]
         f = secure_fusion(zeta, parts.W, parts.G.reshape(18, 3), groups, gammas, metrics)
-        np.testing.assert_allclose(run.x[k], np.hstack(list(parts.F)) @ (zeta + f), rtol=0, atol=1e-5)
+        np.testing.assert_allclose(run.x[k], np.hstack(list(parts.F)) @ (zeta + f), rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize("case", GOLDEN["lasso"], ids=lambda case: str(case["gamma"]))
