@@ -7,8 +7,8 @@ from typing import final
 import numpy as np
 
 from securestate import _kernels
+from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
-from securestate.estimators._steady_state import SteadyState, steady_state
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
 

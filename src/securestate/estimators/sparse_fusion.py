@@ -33,11 +33,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate import _kernels
+from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
 from securestate.estimators._pairs import Pair, jordan, takenaka_malmquist
 from securestate.estimators._sparse_design import coordinates, gamma_from_probability, kernel_design
-from securestate.estimators._steady_state import SteadyState, steady_state
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
 

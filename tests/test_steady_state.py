@@ -7,9 +7,9 @@ import pytest
 from scipy.linalg import solve_discrete_are
 
 from securestate import DesignError, Plant, Sensor
-from securestate.estimators._steady_state import steady_state
+from securestate._steady_state import steady_state
 
-CASES = Path(__file__).parent.parent / "cases" / "kalman"
+CASES = Path(__file__).parent / "cases" / "kalman"
 
 
 def plant(A: object, Q: object, C: object, R: object = 1.0) -> Plant:
