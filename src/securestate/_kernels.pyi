@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 _Float = NDArray[np.float64]
 
-__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "kalman", "sparse_fusion"]
+__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "kalman", "simulate", "sparse_fusion"]
 
 @final
 class Kernel:
@@ -70,3 +70,16 @@ def kalman(
     input_offset: _Float,
     input_scale: _Float,
 ) -> Kernel: ...
+def simulate(
+    a: _Float,
+    b: _Float,
+    c: _Float,
+    d: _Float,
+    q: _Float,
+    r: _Float,
+    feedback: _Float | None,
+    x: _Float,
+    u: _Float,
+    y: _Float,
+    noise: _Float,
+) -> None: ...

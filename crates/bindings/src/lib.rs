@@ -8,6 +8,7 @@ mod estimate;
 mod filter;
 mod kalman;
 mod kernel;
+mod simulation;
 mod sparse_fusion;
 
 /// Run-time kernels of securestate.
@@ -21,6 +22,8 @@ mod _kernels {
     use super::kalman::kalman;
     #[pymodule_export]
     use super::kernel::Kernel;
+    #[pymodule_export]
+    use super::simulation::simulate;
     #[pymodule_export]
     use super::sparse_fusion::{PenaltySolver, sparse_fusion};
 }

@@ -14,6 +14,7 @@ pub mod linalg;
 pub mod penalty;
 pub mod projection;
 pub mod record;
+pub mod simulation;
 pub mod sparse_fusion;
 pub mod units;
 

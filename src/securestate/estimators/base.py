@@ -49,34 +49,48 @@ class Filter(_kernels.Filter):
 
     `step(y, u=None)` takes one measurement of shape (m,) in sensor units, NaN marking a missing channel, and
     returns an `Estimate`. `save()` returns bytes from which `Estimator.resume` continues bit for bit.
+
+    A filter started for several runs has a state for each; it only runs blocks.
     """
 
     _estimator: Estimator
+    _runs: int | None
 
     def __new__(
-        cls, estimator: Estimator, means: Float | None, covariance: Float | None, blob: bytes | None
+        cls,
+        estimator: Estimator,
+        means: Float | None,
+        covariance: Float | None,
+        blob: bytes | None,
+        runs: int | None = None,
     ) -> Filter:
         """Called by `Estimator`; use `Estimator.start` or `Estimator.resume`."""
         self = super().__new__(cls, estimator.kernel, means, covariance, blob)
         self._estimator = estimator
+        self._runs = runs
         return self
 
     def run(self, y: ArrayLike, u: ArrayLike | None = None, *, covariance: bool = True) -> Run:
         """Continue this filter over a block of samples.
 
         Args:
-            y: measurements, shape (T, m), sensor units; NaN marks a missing channel.
-            u: inputs, shape (T, p), file units; needed if and only if the plant has inputs.
+            y: measurements, shape (T, m), or (runs, T, m) if started for several runs, sensor units; NaN marks
+                a missing channel.
+            u: inputs, shape (T, p) or, for several runs, also (runs, T, p), file units; needed if and only if
+                the plant has inputs.
             covariance: False leaves `Run.P` None, which saves n² numbers per sample.
         Returns:
-            Run with arrays of shape (T, ...).
+            Run; its arrays have the leading axes of `y`.
         Raises:
             ShapeError, MeasurementError: naming the argument, expected and received.
         """
-        plant = self._estimator.plant
-        y = _measurements(y, plant, ("T",))
+        plant, batch = self._estimator.plant, self._runs is not None
+        y = _measurements(y, plant, ("runs", "T") if batch else ("T",))
+        if batch and len(y) != self._runs:
+            raise ShapeError("y", f"{self._runs} runs, as many as were started", f"{len(y)}")
         u = _inputs(u, plant, y.shape)
-        return _advance(self, self._estimator, y[np.newaxis], u, covariance=covariance, batch=False)
+        y = y if batch else y[np.newaxis]
+        return _advance(self, self._estimator, y, u, covariance=covariance, batch=batch)
 
 
 class Estimator:
@@ -131,15 +145,19 @@ class Estimator:
         batch = np.ndim(y) == 3
         y = _measurements(y, self.plant, ("runs", "T") if batch else ("T",))
         u = _inputs(u, self.plant, y.shape)
-        mean, cov = self._prior(prior)
-        runs = y.shape[0] if batch else 1
-        bank = Filter(self, np.ascontiguousarray(np.broadcast_to(mean, (runs, self.plant.n))), cov, None)
+        bank = self.start(prior, runs=y.shape[0] if batch else None)
         return _advance(bank, self, y if batch else y[np.newaxis], u, covariance=covariance, batch=batch)
 
-    def start(self, prior: Belief | None = None) -> Filter:
-        """A live filter before its first measurement; `prior` None means mean zero and steady state."""
+    def start(self, prior: Belief | None = None, *, runs: int | None = None) -> Filter:
+        """A live filter before its first measurement; `prior` None means mean zero and steady state.
+
+        With `runs` it holds that many independent filters, which advance in parallel by `Filter.run`.
+        """
         mean, cov = self._prior(prior)
-        return Filter(self, mean[np.newaxis], cov, None)
+        if runs is not None and (isinstance(runs, bool) or not isinstance(runs, int) or runs < 1):
+            raise InputError("runs", "a whole number >= 1, or None", repr(runs))
+        means = np.ascontiguousarray(np.broadcast_to(mean, (runs or 1, self.plant.n)))
+        return Filter(self, means, cov, None, runs)
 
     def resume(self, blob: bytes) -> Filter:
         """The filter whose `save()` returned `blob`; it continues bit for bit.

@@ -126,6 +126,12 @@ impl Model {
         add_product(-1.0, &self.d_t, u, out);
     }
 
+    /// `out` += C x + D u.
+    pub fn observe(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
+        add_product(1.0, self.c_t(k), x, out);
+        add_product(1.0, &self.d_t, u, out);
+    }
+
     /// `out` = A x + B u.
     pub fn predict(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
         out.fill(0.0);

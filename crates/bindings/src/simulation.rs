@@ -1,0 +1,68 @@
+//! The loop over time of a simulation.
+
+use numpy::{PyReadwriteArrayDyn, PyUntypedArrayMethods};
+use pyo3::prelude::*;
+use securestate_kernels::Error;
+use securestate_kernels::kalman::model::{Matrices, Model};
+use securestate_kernels::simulation::{Batch, Simulation};
+
+use crate::arrays::{self, Array};
+use crate::errors::to_python;
+
+/// Turn standard normal numbers into trajectories, in place. `a` (n, n) or (T, n, n), `b` (n, p), `c` (m, n) or
+/// (T, m, n), `d` (m, p); `q` (n, n) and `r` (m, m) are square roots of Q and R; `feedback` −L (p, n) or None.
+/// `x` (runs, T, n) holds x[0], w[0], w[1], …, `u` (runs, T, p) the input without feedback, `y` (runs, T, m) v;
+/// `noise` (runs, T, m) receives what y holds of the noise.
+#[pyfunction]
+#[pyo3(signature = (a, b, c, d, q, r, feedback, x, u, y, noise))]
+#[allow(clippy::too_many_arguments)]
+pub fn simulate(
+    py: Python<'_>,
+    a: Array<'_>,
+    b: Array<'_>,
+    c: Array<'_>,
+    d: Array<'_>,
+    q: Array<'_>,
+    r: Array<'_>,
+    feedback: Option<Array<'_>>,
+    mut x: PyReadwriteArrayDyn<'_, f64>,
+    mut u: PyReadwriteArrayDyn<'_, f64>,
+    mut y: PyReadwriteArrayDyn<'_, f64>,
+    mut noise: PyReadwriteArrayDyn<'_, f64>,
+) -> PyResult<()> {
+    let (n, m) = (q.shape().first().copied().unwrap_or(0), r.shape().first().copied().unwrap_or(0));
+    let mut unit_q = vec![0.0; n * n];
+    let mut unit_r = vec![0.0; m * m];
+    unit_q.iter_mut().step_by(n + 1).chain(unit_r.iter_mut().step_by(m + 1)).for_each(|v| *v = 1.0);
+    let matrices = Matrices {
+        states: n,
+        a: arrays::owned("A", &a)?,
+        b: arrays::owned("B", &b)?,
+        c: arrays::owned("C", &c)?,
+        d: arrays::owned("D", &d)?,
+        q: unit_q,
+        r: unit_r,
+        channel_sensor: (0..m).collect(),
+        sensors: m,
+    };
+    let feedback = feedback.as_ref().map(|l| arrays::owned("feedback", l)).transpose()?.unwrap_or_default();
+    let model = Model::new(matrices).map_err(to_python)?;
+    let simulation = Simulation::new(model, arrays::owned("Q", &q)?, arrays::owned("R", &r)?, feedback)
+        .map_err(to_python)?;
+    let steps = x.shape().get(1).copied().unwrap_or(0);
+    let batch = Batch {
+        steps,
+        x: mutable("x", &mut x)?,
+        u: mutable("u", &mut u)?,
+        y: mutable("y", &mut y)?,
+        noise: mutable("noise", &mut noise)?,
+    };
+    py.detach(|| simulation.run(batch)).map_err(to_python)
+}
+
+/// The numbers of a contiguous array that may be written to.
+fn mutable<'a>(name: &'static str, array: &'a mut PyReadwriteArrayDyn<'_, f64>) -> PyResult<&'a mut [f64]> {
+    array
+        .as_slice_mut()
+        .map_err(|_| to_python(Error::input(name, "a C-contiguous float64 array", "another layout")))
+}

@@ -1,0 +1,159 @@
+"""The work of a comparison: estimators on groups of runs, for about as long as asked, anywhere."""
+
+from __future__ import annotations
+
+import functools
+import os
+import threading
+import time
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+from threadpoolctl import threadpool_limits
+
+from securestate.errors import SecurestateError
+from securestate.estimators import Estimator, OracleFilter
+from securestate.plant import Plant
+from securestate.simulation.metrics import Scores, score
+from securestate.simulation.scenario import Recipe, Scenario, code_key
+from securestate.simulation.simulate import Simulator
+from securestate.simulation.trajectory import Trajectory
+
+Key = TypeVar("Key", bound=Hashable)
+Value = TypeVar("Value")
+
+#: Runs of a group: what is computed, kept and resumed together.
+GROUP = 10
+#: Seconds after which a task hands back what is left.
+SLICE = 0.5
+#: Times a single run is timed; the fastest counts.
+TIMINGS = 3
+#: Designs and simulators kept per process.
+KEPT = 256
+
+
+@dataclass(frozen=True)
+class Task:
+    """Estimators to run on groups of one scenario. `code` is the hash of the code that asks for it."""
+
+    scenario: Scenario
+    recipes: tuple[Recipe, ...]
+    groups: tuple[int, ...]
+    code: str
+
+
+@dataclass(frozen=True)
+class Done:
+    """One estimator on one group: packed scores, or why it cannot run here.
+
+    `microseconds` per step of one live filter, measured on the first group, otherwise None.
+    """
+
+    recipe: str
+    group: int
+    scores: bytes
+    refusal: str = ""
+    microseconds: float | None = None
+
+
+def groups_of(scenario: Scenario) -> range:
+    """Numbers of the groups of a scenario."""
+    return range(-(-scenario.runs // GROUP))
+
+
+def work(task: Task, *, alone: bool, budget: float = SLICE) -> tuple[list[Done], tuple[int, ...]]:
+    """Do groups of a task until the time is over, one at least; returns what is done and the groups left.
+
+    Args:
+        alone: this process has one thread to itself, as the worker of a cluster does.
+
+    Raises:
+        RuntimeError: this process runs other code than the one that asks.
+    """
+    if task.code != code_key():
+        raise RuntimeError("this worker runs another version of securestate than the one that asks")
+    if alone:
+        os.environ.setdefault("RAYON_NUM_THREADS", "1")
+    begin, done = time.perf_counter(), []
+    with threadpool_limits(limits=1, user_api="blas"):  # more threads could change the last bits
+        for position, group in enumerate(task.groups):
+            done += _group(task, group)
+            if time.perf_counter() - begin >= budget:
+                return done, task.groups[position + 1 :]
+    return done, ()
+
+
+def _group(task: Task, group: int) -> Iterator[Done]:
+    """Every estimator on one group of runs."""
+    scenario, stop = task.scenario, min((group + 1) * GROUP, task.scenario.runs)
+    parts: dict[str, list[Scores]] = {recipe.key: [] for recipe in task.recipes}
+    refusals: dict[str, str] = {}
+    timings: dict[str, float] = {}
+    for first, end in scenario.same_plant(group * GROUP, stop):
+        simulator = _simulator(scenario, first)
+        trajectory = simulator.run(scenario.attack, seed=scenario.seed, runs=end - first, first_run=first)
+        for recipe in task.recipes:
+            if recipe.key in refusals:
+                continue
+            try:
+                estimator = _design(recipe, scenario, simulator.plant)
+                run, met = trajectory.confront(estimator)
+                parts[recipe.key].append(score(run, met, scenario.score_from))
+                if first == 0:
+                    timings[recipe.key] = _microseconds(estimator, met)
+            except SecurestateError as refusal:
+                refusals[recipe.key] = str(refusal)
+    for recipe in task.recipes:
+        if recipe.key in refusals:
+            yield Done(recipe.key, group, b"", refusals[recipe.key])
+        else:
+            packed = Scores.join(parts[recipe.key]).pack()
+            yield Done(recipe.key, group, packed, microseconds=timings.get(recipe.key))
+
+
+def _microseconds(estimator: Estimator | OracleFilter, met: Trajectory) -> float:
+    """Time per sample of one filter over the first run."""
+    one = replace(
+        met, x=met.x[:1], u=met.u[:1], clean=met.clean[:1], y=met.y[:1], a=met.a[:1], attacked=met.attacked[:1]
+    )
+    best = float("inf")
+    for _ in range(TIMINGS):
+        begin = time.perf_counter()
+        one.confront(estimator, covariance=False)
+        best = min(best, time.perf_counter() - begin)
+    return 1e6 * best / met.steps
+
+
+class _Kept(threading.local):
+    """Simulators and designs of this thread, by what identifies them."""
+
+    def __init__(self) -> None:
+        self.simulators: dict[str, Simulator] = {}
+        self.designs: dict[tuple[str, str], Estimator | OracleFilter] = {}
+
+
+_kept = _Kept()
+
+
+def _simulator(scenario: Scenario, run: int) -> Simulator:
+    """The simulator of a run's plant; kept if runs share one."""
+    if not isinstance(scenario.plant, Plant):
+        return Simulator(scenario.plant_of(run), scenario.steps, scenario.prior)
+    make = functools.partial(Simulator, scenario.plant, scenario.steps, scenario.prior)
+    return _keep(_kept.simulators, scenario.key, make)
+
+
+def _design(recipe: Recipe, scenario: Scenario, plant: Plant) -> Estimator | OracleFilter:
+    """The estimator for a run's plant; kept if runs share one."""
+    if not isinstance(scenario.plant, Plant):
+        return recipe(plant)
+    return _keep(_kept.designs, (scenario.plant_key, recipe.key), functools.partial(recipe, plant))
+
+
+def _keep(kept: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
+    if key not in kept:
+        if len(kept) >= KEPT:
+            kept.clear()
+        kept[key] = make()
+    return kept[key]

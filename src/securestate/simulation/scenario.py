@@ -1,0 +1,164 @@
+"""What is compared: plants under adversaries, and recipes of estimators, each with an identity of its own."""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, final
+
+import numpy as np
+from numpy.random import SeedSequence, default_rng
+
+import securestate
+from securestate.attacks.base import Attack
+from securestate.errors import InputError
+from securestate.estimators import Estimator, OracleFilter
+from securestate.plant import Belief, Plant
+from securestate.simulation.families import PlantFamily
+from securestate.simulation.simulate import ADVERSARY
+from securestate.simulation.stabilise import stabilised
+
+#: Branch of the random numbers that draw plants of a family; those of a run are NOISE and ADVERSARY.
+PLANT = ADVERSARY + 1
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Scenario:
+    """A plant under an adversary: independent runs, the same for every estimator.
+
+    Attributes:
+        name: unique in a comparison.
+        plant: a plant, or a family of which runs get plants of their own.
+        attack: the adversary, or None.
+        steps: samples per run; score_from: the first one that counts.
+        runs: number of runs. seed: of all random numbers.
+        prior: belief about x[0], for the truth and for every estimator; None: steady state.
+        plant_name, attack_name: for tables.
+    """
+
+    name: str
+    plant: Plant | PlantFamily
+    attack: Attack | None
+    steps: int
+    runs: int
+    seed: int
+    score_from: int = 0
+    prior: Belief | None = None
+    plant_name: str = ""
+    attack_name: str = ""
+
+    def __post_init__(self) -> None:
+        for argument, value, least in (("steps", self.steps, 1), ("runs", self.runs, 1), ("seed", self.seed, 0)):
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise InputError(argument, f"a whole number >= {least}", repr(value))
+        if isinstance(self.score_from, bool) or not 0 <= self.score_from < self.steps:
+            raise InputError("score_from", f"a sample in 0..{self.steps - 1}", repr(self.score_from))
+        if isinstance(self.plant, Plant) and not self.plant.time_varying:
+            object.__setattr__(self, "plant", stabilised(self.plant))
+
+    def plant_of(self, run: int) -> Plant:
+        """The plant of one run."""
+        if isinstance(self.plant, Plant):
+            return self.plant
+        number = run // self.plant.runs_per_plant
+        rng = default_rng(SeedSequence(self.seed, spawn_key=(number, PLANT)))
+        drawn = self.plant.rule(rng)
+        return drawn if drawn.time_varying else stabilised(drawn)
+
+    def same_plant(self, first: int, stop: int) -> list[tuple[int, int]]:
+        """Split runs first..stop into stretches that share a plant."""
+        if isinstance(self.plant, Plant):
+            return [(first, stop)]
+        size = self.plant.runs_per_plant
+        edges = [first, *range((first // size + 1) * size, stop, size), stop]
+        return list(zip(edges[:-1], edges[1:], strict=True))
+
+    @functools.cached_property
+    def sizes(self) -> tuple[tuple[str, ...], int]:
+        """Names of the sensors, and the number of samples."""
+        return self.plant_of(0).sensor_names, self.steps
+
+    @functools.cached_property
+    def plant_key(self) -> str:
+        """Hash of the plant, or of the name of its family."""
+        if isinstance(self.plant, Plant):
+            return content(self.plant)
+        return digest("family", self.plant.name, str(self.plant.runs_per_plant))
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Hash of everything that decides the data of a run; the number of runs does not."""
+        prior = "steady" if self.prior is None else content(self.prior)
+        attack = "nobody" if self.attack is None else repr(self.attack.parts)
+        return digest(self.plant_key, attack, prior, repr((self.steps, self.score_from, self.seed)))
+
+
+@final
+@dataclass(frozen=True)
+class Recipe:
+    """How an estimator is made for a plant.
+
+    Attributes:
+        name: unique in a comparison.
+        design: from a plant to an estimator; importable, so that other processes find it.
+        settings: keyword arguments of `design`.
+    """
+
+    name: str
+    design: Callable[..., Estimator | OracleFilter]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def __call__(self, plant: Plant) -> Estimator | OracleFilter:
+        """The estimator for a plant."""
+        return self.design(plant, **self.settings)
+
+    @functools.cached_property
+    def key(self) -> str:
+        """Hash of the function and its settings; the name does not count."""
+        return digest(_named(self.design), repr(sorted(self.settings.items())))
+
+    @property
+    def stable(self) -> bool:
+        """Whether the key identifies the recipe in another process."""
+        return "<" not in _named(self.design)
+
+
+def _named(design: Any) -> str:
+    """Where a function is found, with what `functools.partial` has bound."""
+    if isinstance(design, functools.partial):
+        return f"{_named(design.func)}({design.args!r}, {sorted(design.keywords.items())!r})"
+    return f"{getattr(design, '__module__', '<?>')}.{getattr(design, '__qualname__', '<?>')}"
+
+
+def content(value: Plant | Belief) -> str:
+    """Hash of every attribute of a plant or a belief."""
+    parts = hashlib.sha256()
+    for name, held in sorted(vars(value).items()):
+        if name == "sensors":
+            continue
+        parts.update(name.encode())
+        parts.update(f"{held.shape}".encode() + held.tobytes() if isinstance(held, np.ndarray) else repr(held).encode())
+    return parts.hexdigest()
+
+
+def digest(*parts: str) -> str:
+    """Hash of texts, each with its length, so that their borders count."""
+    total = hashlib.sha256()
+    for part in parts:
+        data = part.encode()
+        total.update(len(data).to_bytes(8, "little") + data)
+    return total.hexdigest()
+
+
+@functools.cache
+def code_key() -> str:
+    """Hash of this package's code, kernels included: results of other code are not continued."""
+    folder = Path(securestate.__file__).parent
+    total = hashlib.sha256()
+    for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".so", ".pyd")):
+        total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
+    return total.hexdigest()
