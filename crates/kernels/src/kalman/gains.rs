@@ -32,8 +32,10 @@ pub struct Gains {
 /// Scratch of the data part and of the covariance part.
 #[derive(Debug, Clone)]
 pub struct Scratch {
-    state: Vec<f64>,
-    channel: Vec<f64>,
+    /// (n,)
+    pub state: Vec<f64>,
+    /// (m,)
+    pub channel: Vec<f64>,
 }
 
 impl Scratch {
