@@ -13,7 +13,10 @@ from securestate.estimators.kalman import steady_or_reason
 from securestate.plant import Plant
 
 #: What can be done about an alarm; the first of each is the default.
-ON_ALARM = {"sensor": ("drop", "hold"), "central": ("predict", "drop-worst")}
+ON_ALARM: dict[str, tuple[_detectors.Rule, ...]] = {
+    "sensor": ("drop", "hold"),
+    "central": ("predict", "drop-worst"),
+}
 
 
 @final
@@ -24,7 +27,8 @@ class ChiSquareFilter(Estimator):
 
         r_i' S_i^-1 r_i > chi2(1 - false_alarm_rate; m_i),   r_i = y_i - C_i z_i[k|k-1] - D_i u
 
-    with that filter's innovation r_i and its steady-state covariance S_i, the sensor is left out of this sample.
+    with that filter's innovation r_i and its steady-state covariance S_i, the sensor is left out of this
+    sample.
 
     scope="central": one test on the innovation of all m channels that arrived, about the fused prediction,
 
@@ -34,13 +38,13 @@ class ChiSquareFilter(Estimator):
         plant: for scope "sensor" a plant that does not vary, in which each sensor alone has a steady-state
             filter. For "central" any plant; without a steady state `run` and `start` need a prior with P.
         scope: which test.
-        on_alarm: for "sensor": "drop" (default), the filter of an alarmed sensor goes on listening; "hold", it
-            does not take in the alarmed reading either. For "central": "predict" (default), nothing of this
-            sample is used; "drop-worst", sensors are left out one by one until the test passes on the rest with
-            its own degrees of freedom, the one first whose r_i' S_i^-1 r_i (as in `InnovationGate`) is largest
-            in proportion to its own threshold.
-        false_alarm_rate: probability per sample that an honest sensor ("sensor"), or anybody when all are honest
-            ("central"), raises an alarm, in (0, 1).
+        on_alarm: for "sensor": "drop" (default), the filter of an alarmed sensor goes on listening; "hold",
+            it does not take in the alarmed reading either. For "central": "predict" (default), nothing of
+            this sample is used; "drop-worst", sensors are left out one by one until the test passes on the
+            rest with its own degrees of freedom, the one first whose r_i' S_i^-1 r_i (as in `InnovationGate`)
+            is largest in proportion to its own threshold.
+        false_alarm_rate: probability per sample that an honest sensor ("sensor"), or anybody when all are
+            honest ("central"), raises an alarm, in (0, 1).
 
     Attributes:
         steady: the steady state of the fused Kalman filter, or None.
@@ -51,15 +55,15 @@ class ChiSquareFilter(Estimator):
         InputError: a setting is out of range, or on_alarm belongs to the other scope.
 
     Notes:
-        `Run.trust` is 1 for a sensor in use, 0 for one left out, NaN where it sent nothing. `Run.suspected` says
-        who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others. With "predict" an
-        alarm suspects every sensor that arrived, because the test does not say who lies.
-        `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in `KalmanFilter`;
-        "alarms", how many sensors were left out; "excess", the largest squared distance over its threshold,
-        for "central" that of all channels that arrived.
+        `Run.trust` is 1 for a sensor in use, 0 for one left out, NaN where it sent nothing. `Run.suspected`
+        says who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others. With
+        "predict" an alarm suspects every sensor that arrived, because the test does not say who lies.
+        `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in
+        `KalmanFilter`; "alarms", how many sensors were left out; "excess", the largest squared distance over
+        its threshold, for "central" that of all channels that arrived.
         Missing channels: the test takes those that arrived, with as many degrees of freedom. A sensor's own
-        filter takes in complete readings only and predicts otherwise; its test is then a little too strict until
-        the filter has settled again.
+        filter takes in complete readings only and predicts otherwise; its test is then a little too strict
+        until the filter has settled again.
         "hold" starts from a state that its sensors have to agree with: begin with a prior near the truth.
         A protected sensor is tested like any other: the classical detectors do not know who cannot lie.
         NO_MEASUREMENT: every sensor was left out or sent nothing. ILL_CONDITIONED: as `KalmanFilter`.
@@ -103,7 +107,8 @@ def _checked_rule(scope: str, on_alarm: str | None) -> _detectors.Rule:
     known = ON_ALARM[scope]
     if on_alarm is None:
         return known[0]
-    if on_alarm not in known:
-        choices = " or ".join(f'"{name}"' for name in known)
-        raise InputError("on_alarm", f'{choices} for scope="{scope}"', repr(on_alarm))
-    return on_alarm
+    for rule in known:
+        if rule == on_alarm:
+            return rule
+    choices = " or ".join(f'"{name}"' for name in known)
+    raise InputError("on_alarm", f'{choices} for scope="{scope}"', repr(on_alarm))

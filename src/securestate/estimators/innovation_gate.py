@@ -18,7 +18,8 @@ class InnovationGate(Estimator):
         r_i = y_i - C_i x[k|k-1] - D_i u,   S_i = C_i P[k|k-1] C_i' + R_i
         sensor i is left out of sample k if r_i' S_i^-1 r_i > chi2(1 - false_alarm_rate; m_i)
 
-    m_i counts the channels of sensor i that arrived. The rest is a Kalman update with the sensors that are left.
+    m_i counts the channels of sensor i that arrived. The rest is a Kalman update with the sensors that are
+    left.
 
     Args:
         plant: any plant. Without a steady state, as when it varies in time, `run` and `start` need a prior
@@ -33,14 +34,14 @@ class InnovationGate(Estimator):
         InputError: a setting is out of range.
 
     Notes:
-        `Run.trust` is 1 for a sensor in use, 0 for one left out, NaN where it sent nothing. `Run.suspected` says
-        who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others.
-        `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in `KalmanFilter`;
-        "alarms", how many sensors were left out; "excess", the largest squared distance over its threshold.
-        The rate is exact for the first alarm. Later ones come a little more often: leaving out an honest reading
-        because it is far off cuts the tail of what enters x, which P does not know.
-        Like all tests on innovations it is blind to a lie that grows slowly enough to take the prediction along.
-        A protected sensor is gated like any other: the classical detectors do not know who cannot lie.
+        `Run.trust` is 1 for a sensor in use, 0 for one left out, NaN where it sent nothing. `Run.suspected`
+        says who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others.
+        `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in
+        `KalmanFilter`; "alarms", how many sensors were left out; "excess", the largest squared distance over
+        its threshold. The rate is exact for the first alarm. Later ones come a little more often: leaving out
+        an honest reading because it is far off cuts the tail of what enters x, which P does not know.
+        Like all tests on innovations it is blind to a lie that grows slowly enough to take the prediction
+        along. A protected sensor is gated like any other: the classical detectors do not know who cannot lie.
         NO_MEASUREMENT: every sensor was left out or sent nothing. ILL_CONDITIONED: as `KalmanFilter`.
 
     References:

@@ -33,9 +33,9 @@ class OracleFilter:
         kalman: the Kalman filter that does the work.
 
     Notes:
-        `Run.trust` is 0 for an attacked sensor, 1 for another one, NaN where it sent nothing. `Run.suspected` is
-        `attacked` where the sensor sent something, `Run.attack` y - C x[k|k] - D u for attacked channels and 0
-        for the others. Diagnostics are those of `KalmanFilter`, of the channels in use.
+        `Run.trust` is 0 for an attacked sensor, 1 for another one, NaN where it sent nothing. `Run.suspected`
+        is `attacked` where the sensor sent something, `Run.attack` y - C x[k|k] - D u for attacked channels
+        and 0 for the others. Diagnostics are those of `KalmanFilter`, of the channels in use.
 
     Examples:
         >>> from securestate import OracleFilter, Plant, Sensor
@@ -173,16 +173,17 @@ def _told(
 
 
 def _residual(plant: Plant, x: Float, y: Float, u: Float, first: int) -> Float:
-    """y - C x - D u in sensor units, NaN where y is."""
+    """What is left of y when C x + D u is taken away, in sensor units, NaN where y is."""
     C = plant.C[first : first + y.shape[-2]] if plant.C.ndim == 3 else plant.C
     expected = np.einsum("...ij,...j->...i", C, x) + plant.normalise_input(u) @ plant.D.T
     return y - plant.denormalise(expected)
 
 
 def _moved(plant: Plant, x: Float, u: Float, first: int = 0) -> Float:
-    """A x + B u of every sample."""
+    """The prediction A x + B u from every sample."""
     A = plant.A[first : first + x.shape[-2]] if plant.A.ndim == 3 else plant.A
-    return np.einsum("...ij,...j->...i", A, x) + plant.normalise_input(u) @ plant.B.T
+    moved: Float = np.einsum("...ij,...j->...i", A, x) + plant.normalise_input(u) @ plant.B.T
+    return moved
 
 
 def _predicted(plant: Plant, x: Float, u: Float, start: Float) -> Float:
