@@ -10,20 +10,34 @@ from securestate.errors import (
     SecurestateWarning,
     ShapeError,
 )
-from securestate.estimators import Estimate, Estimator, Filter, KalmanFilter, Run, SparseFusion, Status
+from securestate.estimators import (
+    ChiSquareFilter,
+    Estimate,
+    Estimator,
+    Filter,
+    InnovationGate,
+    KalmanFilter,
+    OracleFilter,
+    Run,
+    SparseFusion,
+    Status,
+)
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 
 __all__ = [
     "Belief",
+    "ChiSquareFilter",
     "DesignError",
     "Estimate",
     "Estimator",
     "Filter",
+    "InnovationGate",
     "InputError",
     "KalmanFilter",
     "MeasurementError",
     "Measurements",
+    "OracleFilter",
     "Plant",
     "PlantError",
     "ResumeError",

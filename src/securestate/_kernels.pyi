@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 _Float = NDArray[np.float64]
 
-__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "kalman", "simulate", "sparse_fusion"]
+__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "detector", "kalman", "simulate", "sparse_fusion"]
 
 @final
 class Kernel:
@@ -69,6 +69,25 @@ def kalman(
     scale: _Float,
     input_offset: _Float,
     input_scale: _Float,
+) -> Kernel: ...
+def detector(
+    a: _Float,
+    b: _Float,
+    c: _Float,
+    d: _Float,
+    q: _Float,
+    r: _Float,
+    channel_sensor: list[int],
+    n_sensors: int,
+    prior: _Float | None,
+    offset: _Float,
+    scale: _Float,
+    input_offset: _Float,
+    input_scale: _Float,
+    *,
+    rule: str,
+    quantiles: _Float,
+    local: list[tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float]],
 ) -> Kernel: ...
 def simulate(
     a: _Float,

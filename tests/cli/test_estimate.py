@@ -9,6 +9,7 @@ import xarray as xr
 
 import securestate as ss
 from securestate.cli import job
+from securestate.estimators import METHODS
 from securestate.measurements import read_measurements
 from tests.cli.helpers import PLANT, Command
 
@@ -49,6 +50,20 @@ def test_the_kalman_filter_trusts_a_liar_and_says_so(command: Command) -> None:
     end = command(*LYING, "--method", "kalman")
     assert end.code == 0
     assert "trusts every sensor" in end.out
+
+
+@pytest.mark.parametrize(
+    "method", [("gate",), ("chi-square", "--scope", "central", "--on-alarm", "drop-worst")]
+)
+def test_a_detector_names_the_liar(command: Command, method: tuple[str, ...]) -> None:
+    end = command(*LYING, "--method", *method, "--false-alarm-rate", "0.001")
+    assert (end.code, end.err) == (3, "")
+    assert "1 of 4 sensors lies: flow 2." in end.out
+
+
+def test_help_offers_every_registered_method(command: Command) -> None:
+    end = command("estimate", "--help")
+    assert all(name in end.out for name in METHODS)
 
 
 def test_files_and_report_are_written_and_named_at_the_end(command: Command, folder: Path) -> None:
@@ -138,6 +153,10 @@ def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
         (("--gamma", "1", "--kalman-probability", "0.9"), "gamma"),
         (("--kalman-probability", "2"), "kalman_probability"),
         (("--method", "kalman", "--gamma", "1"), "--gamma: expected --method sparse"),
+        (("--false-alarm-rate", "0.1"), "--false-alarm-rate: expected --method gate or --method chi-square"),
+        (("--method", "gate", "--scope", "central"), "--scope: expected --method chi-square"),
+        (("--method", "gate", "--false-alarm-rate", "1"), "false_alarm_rate"),
+        (("--method", "chi-square", "--on-alarm", "predict"), "on_alarm"),
         (("--method", "magic"), "--method"),
         (("--gamma", "much"), "--gamma"),
         (("--nonsense",), "--nonsense"),
@@ -193,7 +212,7 @@ def test_a_plant_that_the_method_cannot_handle_ends_with_4_and_advice(command: C
     sensors = [ss.Sensor("flow 1", C=[0, 1], R=1)]
     blind = ss.Plant(A=[[1.1, 0], [0, 0.5]], Q=np.eye(2), sensors=sensors, dt=0.5)
     blind.save(folder / "plant.toml")
-    for method in ("sparse", "kalman"):
+    for method in METHODS:
         end = command(*HONEST, "--method", method, "--out", "states.csv")
         assert (end.code, end.out) == (4, "")
         assert end.err.startswith("error: ")

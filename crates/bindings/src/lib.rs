@@ -3,6 +3,7 @@
 use pyo3::prelude::*;
 
 mod arrays;
+mod detector;
 mod errors;
 mod estimate;
 mod filter;
@@ -14,6 +15,8 @@ mod sparse_fusion;
 /// Run-time kernels of securestate.
 #[pymodule]
 mod _kernels {
+    #[pymodule_export]
+    use super::detector::detector;
     #[pymodule_export]
     use super::estimate::Estimate;
     #[pymodule_export]

@@ -23,7 +23,7 @@ pub struct Dims {
 pub enum Status {
     /// The numbers mean what they say.
     Ok = 0,
-    /// No channel arrived: the estimate is a prediction.
+    /// No channel arrived, or all were left out: the estimate is a prediction.
     NoMeasurement = 1,
     /// The solver stopped at its cap; the gap in the diagnostics says how far it is from the optimum.
     NotConverged = 2,

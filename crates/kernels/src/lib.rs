@@ -4,6 +4,7 @@
 
 pub mod bank;
 pub mod codec;
+pub mod detectors;
 mod error;
 pub mod estimator;
 pub mod group_lasso;

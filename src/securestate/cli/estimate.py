@@ -9,13 +9,7 @@ from typing import Annotated
 import typer
 
 from securestate.cli.exits import Exit
-
-
-class Method(StrEnum):
-    """Which estimator."""
-
-    SPARSE = "sparse"
-    KALMAN = "kalman"
+from securestate.estimators.registry import METHODS
 
 
 class Form(StrEnum):
@@ -25,12 +19,40 @@ class Form(StrEnum):
     PAPER = "paper"
 
 
+class Scope(StrEnum):
+    """What the chi-square test looks at."""
+
+    SENSOR = "sensor"
+    CENTRAL = "central"
+
+
+class OnAlarm(StrEnum):
+    """What the chi-square detector does about an alarm."""
+
+    DROP = "drop"
+    HOLD = "hold"
+    PREDICT = "predict"
+    DROP_WORST = "drop-worst"
+
+
+def _known(name: str) -> str:
+    if name not in METHODS:
+        raise typer.BadParameter(f"{name!r} is none of {', '.join(METHODS)}")
+    return name
+
+
 def estimate(
     plant: Annotated[Path, typer.Option(help="Plant file, TOML.")],
     data: Annotated[Path, typer.Option(help="Measurements: .csv, .tsv, .parquet or .nc.")],
     method: Annotated[
-        Method, typer.Option(help="sparse finds lying sensors; kalman trusts every sensor.")
-    ] = Method.SPARSE,
+        str,
+        typer.Option(
+            metavar=f"[{'|'.join(METHODS)}]",
+            callback=_known,
+            autocompletion=lambda: list(METHODS),
+            help="; ".join(f"{name} {known.summary}" for name, known in METHODS.items()) + ".",
+        ),
+    ] = "sparse",
     kalman_probability: Annotated[
         float | None,
         typer.Option(help="sparse: how often an honest step equals the Kalman filter, in (0, 1)."),
@@ -44,6 +66,17 @@ def estimate(
         typer.Option(
             "--refit/--no-refit", help="sparse: estimate again without the shrinkage.", show_default=False
         ),
+    ] = None,
+    false_alarm_rate: Annotated[
+        float | None,
+        typer.Option(help="gate, chi-square: how often a sample of an honest sensor raises an alarm."),
+    ] = None,
+    scope: Annotated[
+        Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
+    ] = None,
+    on_alarm: Annotated[
+        OnAlarm | None,
+        typer.Option(help="chi-square: drop (default) or hold; central: predict (default) or drop-worst."),
     ] = None,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
@@ -76,12 +109,15 @@ def estimate(
         "gamma": gamma,
         "form": None if form is None else form.value,
         "refit": refit,
+        "false_alarm_rate": false_alarm_rate,
+        "scope": None if scope is None else scope.value,
+        "on_alarm": None if on_alarm is None else on_alarm.value,
     }
     return run_order(
         Order(
             plant=plant,
             data=data,
-            method=method.value,
+            method=method,
             choices={name: value for name, value in choices.items() if value is not None},
             time_column=time_column,
             allow_missing=allow_missing,

@@ -9,8 +9,9 @@ from rich.table import Table
 
 from securestate.cli import console
 from securestate.cli.exits import Exit
-from securestate.cli.methods import NAMES, design
+from securestate.cli.methods import design
 from securestate.errors import DesignError
+from securestate.estimators import METHODS
 from securestate.plant import Plant
 from securestate.resilience import undetectable_modes, unobserved_modes
 
@@ -20,7 +21,7 @@ MARGIN = 1e-9  # an eigenvalue this close to the unit circle is marginal
 def inspect(path: Path) -> Exit:
     """Print what a plant file says; the exit code tells whether any estimator can be designed."""
     plant = Plant.load(path)
-    refusals = {name: _refusal(plant, name) for name in NAMES}
+    refusals = {name: _refusal(plant, name) for name in METHODS}
     shown = console.output()
     shown.print(f"{plant.name or path.name}: {_sizes(plant)}")
     shown.print()

@@ -12,7 +12,7 @@ import numpy as np
 from securestate._results import check_folder, check_result_path
 from securestate.cli import console
 from securestate.cli.exits import Exit
-from securestate.cli.methods import design
+from securestate.cli.methods import design, refuse_foreign
 from securestate.errors import InputError, SecurestateWarning
 from securestate.estimators import Estimator, Run
 from securestate.measurements import Measurements, read_measurements, write_run
@@ -109,9 +109,7 @@ def _count(number: int, thing: str) -> str:
 
 def _check(order: Order) -> None:
     """Refuse before any computing what cannot end well."""
-    if order.method == "kalman" and order.choices:
-        names = ", ".join(f"--{name}".replace("_", "-") for name in order.choices)
-        raise InputError(names, "--method sparse", "--method kalman")
+    refuse_foreign(order.method, order.choices)
     if order.out is not None:
         check_result_path(order.out, "--out")
     if order.report is not None:

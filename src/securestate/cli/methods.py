@@ -1,14 +1,12 @@
-"""The estimators that the command line offers, ready to start without a prior."""
+"""The registered methods as the command line offers them: chosen by name, ready to start without a prior."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-from securestate.errors import DesignError
-from securestate.estimators import Estimator, KalmanFilter, SparseFusion
+from securestate.errors import DesignError, InputError
+from securestate.estimators import METHODS, Estimator
 from securestate.plant import Plant
-
-NAMES = ("sparse", "kalman")
 
 
 def design(plant: Plant, name: str, choices: Mapping[str, object]) -> Estimator:
@@ -18,10 +16,22 @@ def design(plant: Plant, name: str, choices: Mapping[str, object]) -> Estimator:
         DesignError: the plant does not allow the method, or it could not start without a prior.
         InputError: a setting is out of range.
     """
-    if name == "sparse":
-        return SparseFusion(plant, **choices)  # type: ignore[arg-type]
-    estimator = KalmanFilter(plant)
-    if estimator.steady is None:
+    estimator = METHODS[name].design(plant, **choices)
+    if estimator.no_steady_state:
         reason = f"the Kalman filter has no steady state to start from: {estimator.no_steady_state}"
-        raise DesignError(reason, "or run it from Python with a prior: KalmanFilter(plant).run(y, u, prior)")
+        advice = f"or run it from Python with a prior: {estimator.name}(plant).run(y, u, prior)"
+        raise DesignError(reason, advice)
     return estimator
+
+
+def refuse_foreign(name: str, choices: Mapping[str, object]) -> None:
+    """Refuse settings that belong to other methods than `name`.
+
+    Raises:
+        InputError: names the option and the methods that know it.
+    """
+    for setting in choices:
+        if setting not in METHODS[name].settings:
+            owners = [other for other, method in METHODS.items() if setting in method.settings]
+            expected = " or ".join(f"--method {owner}" for owner in owners)
+            raise InputError(f"--{setting}".replace("_", "-"), expected, f"--method {name}")

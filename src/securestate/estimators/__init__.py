@@ -1,9 +1,26 @@
-"""Estimators: one file per algorithm, the protocol in `base`."""
+"""Estimators: one file per algorithm, the protocol in `base`, all of them by name in `registry`."""
 
 from securestate._kernels import Estimate
 from securestate.estimators.base import Estimator, Filter, Status
+from securestate.estimators.chi_square import ChiSquareFilter
+from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.oracle import OracleFilter
+from securestate.estimators.registry import METHODS, Method
 from securestate.estimators.run import Run
 from securestate.estimators.sparse_fusion import SparseFusion
 
-__all__ = ["Estimate", "Estimator", "Filter", "KalmanFilter", "Run", "SparseFusion", "Status"]
+__all__ = [
+    "METHODS",
+    "ChiSquareFilter",
+    "Estimate",
+    "Estimator",
+    "Filter",
+    "InnovationGate",
+    "KalmanFilter",
+    "Method",
+    "OracleFilter",
+    "Run",
+    "SparseFusion",
+    "Status",
+]

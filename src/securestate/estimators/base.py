@@ -38,7 +38,9 @@ class Status(IntEnum):
 
 _ADVICE = {
     Status.OK: "The numbers mean what they say.",
-    Status.NO_MEASUREMENT: "No channel arrived, so the estimate is a prediction. Check the connection.",
+    Status.NO_MEASUREMENT: (
+        "No channel arrived or all were left out, so the estimate is a prediction. Check the connection."
+    ),
     Status.NOT_CONVERGED: "The solver stopped at its cap; diagnostic 'gap' says how far it is from the end.",
     Status.ILL_CONDITIONED: "The sensors that are left do not determine the state; the estimate is a guess.",
 }
@@ -85,10 +87,10 @@ class Filter(_kernels.Filter):
             ShapeError, MeasurementError: naming the argument, expected and received.
         """
         plant, batch = self._estimator.plant, self._runs is not None
-        y = _measurements(y, plant, ("runs", "T") if batch else ("T",))
+        y = check_measurements(y, plant, ("runs", "T") if batch else ("T",))
         if batch and len(y) != self._runs:
             raise ShapeError("y", f"{self._runs} runs, as many as were started", f"{len(y)}")
-        u = _inputs(u, plant, y.shape)
+        u = check_inputs(u, plant, y.shape)
         y = y if batch else y[np.newaxis]
         return _advance(self, self._estimator, y, u, covariance=covariance, batch=batch)
 
@@ -104,6 +106,8 @@ class Estimator:
     plant: Plant
     settings: Mapping[str, object]
     kernel: _kernels.Kernel
+    #: Why `run` and `start` need a prior with a covariance P; empty if they do not.
+    no_steady_state: str = ""
     #: Share of missing samples above which `run` warns that the method is the wrong tool; None = never.
     missing_limit: float | None = None
 
@@ -143,8 +147,8 @@ class Estimator:
             ShapeError, MeasurementError: naming the argument, expected and received.
         """
         batch = np.ndim(y) == 3
-        y = _measurements(y, self.plant, ("runs", "T") if batch else ("T",))
-        u = _inputs(u, self.plant, y.shape)
+        y = check_measurements(y, self.plant, ("runs", "T") if batch else ("T",))
+        u = check_inputs(u, self.plant, y.shape)
         bank = self.start(prior, runs=y.shape[0] if batch else None)
         return _advance(bank, self, y if batch else y[np.newaxis], u, covariance=covariance, batch=batch)
 
@@ -177,7 +181,7 @@ class Estimator:
         return np.ascontiguousarray(prior.x), None if prior.P is None else np.ascontiguousarray(prior.P)
 
 
-def _measurements(y: ArrayLike, plant: Plant, axes: tuple[str, ...]) -> Float:
+def check_measurements(y: ArrayLike, plant: Plant, axes: tuple[str, ...]) -> Float:
     """Measurements as a contiguous float array of shape (*axes, m)."""
     y = _floats("y", _in_order("y", y, plant.channel_names))
     if y.ndim != len(axes) + 1 or y.shape[-1] != plant.m or 0 in y.shape:
@@ -186,7 +190,7 @@ def _measurements(y: ArrayLike, plant: Plant, axes: tuple[str, ...]) -> Float:
     return y
 
 
-def _inputs(u: ArrayLike | None, plant: Plant, y_shape: tuple[int, ...]) -> Float:
+def check_inputs(u: ArrayLike | None, plant: Plant, y_shape: tuple[int, ...]) -> Float:
     """Inputs as a contiguous float array of shape (T, p) or (runs, T, p)."""
     steps, p = y_shape[-2], plant.n_inputs
     if u is None:

@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
-from typing import final
+from typing import TypeAlias, final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from securestate import _kernels
 from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
+
+Float: TypeAlias = NDArray[np.float64]
+#: A, B, C, D, Q, R; owner of every channel, N; P[k|k-1] of the steady state; operating point.
+KernelArguments: TypeAlias = tuple[
+    Float, Float, Float, Float, Float, Float, list[int], int, Float | None, Float, Float, Float, Float
+]
 
 
 @final
@@ -50,24 +57,32 @@ class KalmanFilter(Estimator):
     """
 
     steady: SteadyState | None
-    no_steady_state: str
 
     def __init__(self, plant: Plant) -> None:
-        if not isinstance(plant, Plant):
-            raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
-        self.steady, self.no_steady_state = None, ""
-        try:
-            self.steady = steady_state(plant)
-        except DesignError as reason:
-            self.no_steady_state = str(reason)
-        super().__init__(plant, _kernel(plant, self.steady), {})
+        self.steady, self.no_steady_state = steady_or_reason(plant)
+        super().__init__(plant, _kernels.kalman(*kernel_arguments(plant, self.steady)), {})
 
 
-def _kernel(plant: Plant, steady: SteadyState | None) -> _kernels.Kernel:
+def steady_or_reason(plant: Plant) -> tuple[SteadyState | None, str]:
+    """The steady state and "", or None and why there is none.
+
+    Raises:
+        InputError: `plant` is no plant.
+    """
+    if not isinstance(plant, Plant):
+        raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
+    try:
+        return steady_state(plant), ""
+    except DesignError as reason:
+        return None, str(reason)
+
+
+def kernel_arguments(plant: Plant, steady: SteadyState | None) -> KernelArguments:
+    """What the kernels of the Kalman filter and of those built on it begin with."""
     A, B, C, D, Q, R = (
         np.ascontiguousarray(M) for M in (plant.A, plant.B, plant.C, plant.D, plant.Q, plant.R)
     )
-    return _kernels.kalman(
+    return (
         *(A, B, C, D, Q, R),
         plant.channel_sensor.tolist(),
         plant.n_sensors,

@@ -77,6 +77,13 @@ impl Recursion {
 
     /// The covariance part of one step: gains for sample k, then P[k+1|k].
     pub fn advance(&self, p: &mut Covariance, k: usize, y: &[f64], keep: bool) {
+        self.correct(p, k, y, keep);
+        self.predict(p, k);
+    }
+
+    /// Gains for sample k if the channels of y that are not NaN count. P[k|k−1] stays, so that it can be corrected
+    /// again with other channels until [`Recursion::predict`].
+    pub fn correct(&self, p: &mut Covariance, k: usize, y: &[f64], keep: bool) {
         let all = y.iter().all(|value| !value.is_nan());
         let repeats = all && p.settled;
         if repeats && p.cached {
@@ -89,15 +96,21 @@ impl Recursion {
         }
         p.work.copy_from(&p.prior);
         p.gains.correct_covariance(&self.model, k, &mut p.work, &mut p.scratch, keep || repeats);
-        if !repeats {
-            self.predict(p, k);
-            p.settled = self.full.is_some() && all && p.repeats();
-            std::mem::swap(&mut p.prior, &mut p.work);
+    }
+
+    /// From the latest correction of sample k to P[k+1|k].
+    pub fn predict(&self, p: &mut Covariance, k: usize) {
+        if p.cached {
+            return;
         }
+        let all = p.gains.channels().len() == self.model.dims.channels;
+        self.time_update(p, k);
+        p.settled = self.full.is_some() && all && p.repeats();
+        std::mem::swap(&mut p.prior, &mut p.work);
     }
 
     /// From P[k|k] to P[k+1|k] in `work`: the rows [A U, G] with weights [D, q], made orthogonal.
-    fn predict(&self, p: &mut Covariance, k: usize) {
+    fn time_update(&self, p: &mut Covariance, k: usize) {
         let (n, width) = (self.model.dims.states, p.weights.len());
         p.weights[..n].copy_from_slice(&p.work.d);
         let a = self.model.a(k).chunks_exact(n);

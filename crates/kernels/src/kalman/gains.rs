@@ -3,25 +3,20 @@
 //! Which channels arrived fixes gains and covariances; the data part is a few products along contiguous memory.
 //! Runs that miss the same samples share the first part and stay equal to the bit.
 
+use crate::kalman::heard::Heard;
 use crate::kalman::model::{Model, add_product};
 use crate::kalman::ud::Ud;
-use crate::kalman::whitening::{LogProduct, Whitening};
+use crate::kalman::whitening::LogProduct;
 use crate::lanes::{self, LANES, Lanes, zip};
 use crate::linalg::{axpy, dot};
 use crate::{Dims, Output, Status};
 
-const LOG_2PI: f64 = 1.837_877_066_409_345_5;
-
 /// Everything about a correction that the data do not change.
 #[derive(Debug, Clone)]
 pub struct Gains {
-    /// The first `count` are the channels that arrived, in order.
-    channels: Vec<usize>,
-    count: usize,
-    whitening: Whitening,
-    /// Rows of L⁻¹ C of the channels that arrived, (count, n).
-    rows: Vec<f64>,
-    /// Gain of each whitened channel, (count, n).
+    /// The channels that arrived.
+    heard: Heard,
+    /// Gain of each whitened channel, (channels, n).
     gain: Vec<f64>,
     /// 1 / s of each whitened channel, given those before it.
     precision: Vec<f64>,
@@ -37,8 +32,10 @@ pub struct Gains {
 /// Scratch of the data part and of the covariance part.
 #[derive(Debug, Clone)]
 pub struct Scratch {
-    state: Vec<f64>,
-    channel: Vec<f64>,
+    /// (n,)
+    pub state: Vec<f64>,
+    /// (m,)
+    pub channel: Vec<f64>,
 }
 
 impl Scratch {
@@ -55,10 +52,7 @@ impl Gains {
     pub fn new(model: &Model) -> Self {
         let (n, m) = (model.dims.states, model.dims.channels);
         Self {
-            channels: vec![0; m],
-            count: 0,
-            whitening: Whitening::new(&model.noise),
-            rows: vec![0.0; m * n],
+            heard: Heard::new(model),
             gain: vec![0.0; m * n],
             precision: vec![0.0; m],
             log_det: 0.0,
@@ -78,31 +72,18 @@ impl Gains {
 
     /// Overwrite with the gains of `full`, made by [`Gains::listen`] with every channel present.
     pub fn listen_to_all(&mut self, full: &Self) {
-        self.count = full.count;
-        self.channels.copy_from_slice(&full.channels);
-        self.whitening.copy_from(&full.whitening);
-        self.rows.copy_from_slice(&full.rows);
-        self.log_det = full.log_det;
+        self.heard.copy_from(&full.heard);
     }
 
     /// Note which channels of y arrived and make their noise independent.
     pub fn listen(&mut self, model: &Model, k: usize, y: &[f64]) {
-        let n = model.dims.states;
-        self.count = 0;
-        for (channel, value) in y.iter().enumerate() {
-            if !value.is_nan() {
-                self.channels[self.count] = channel;
-                self.count += 1;
-            }
-        }
-        let (arrived, c) = (&self.channels[..self.count], model.c(k));
-        for (row, &channel) in self.rows.chunks_exact_mut(n).zip(arrived) {
-            row.copy_from_slice(&c[channel * n..(channel + 1) * n]);
-        }
-        // R is positive definite, hence so is every principal part of it.
-        self.whitening.factorise(&model.noise, arrived);
-        self.whitening.apply_to_rows(&mut self.rows[..self.count * n], n);
-        self.log_det = self.count as f64 * LOG_2PI + 2.0 * self.whitening.log_det(self.count);
+        self.heard.listen(model, &model.noise, k, y);
+    }
+
+    /// The channels that these gains use, in increasing order.
+    #[must_use]
+    pub fn channels(&self) -> &[usize] {
+        self.heard.channels()
     }
 
     /// From P[k|k−1] in `p` to P[k|k], one channel after the other; notes gains and standard deviations.
@@ -117,19 +98,19 @@ impl Gains {
         let n = model.dims.states;
         innovation_deviations(model, k, p, &mut scratch.channel, &mut self.innovation_std);
         let mut log_det = LogProduct::default();
-        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact_mut(n));
-        for ((row, gain), precision) in rows.zip(&mut self.precision).take(self.count) {
+        let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact_mut(n));
+        for ((row, gain), precision) in rows.zip(&mut self.precision) {
             let s = p.condition(row, &mut scratch.state, gain);
             log_det.multiply(s);
             *precision = 1.0 / s;
         }
-        self.log_det += log_det.log();
+        self.log_det = self.heard.log_det + log_det.log();
         p.variances(&mut self.x_std);
         self.x_std.iter_mut().for_each(|v| *v = v.sqrt());
         if keep_covariance {
             p.covariance(&mut self.covariance);
         }
-        self.status = match self.count {
+        self.status = match self.channels().len() {
             _ if !self.x_std.iter().all(|v| v.is_finite()) => Status::IllConditioned,
             0 => Status::NoMeasurement,
             _ => Status::Ok,
@@ -146,24 +127,36 @@ impl Gains {
         scratch: &mut Scratch,
         out: &mut Output<'_>,
     ) {
-        let n = x.len();
         model.innovation(k, x, (y, u), out.innovation);
-        let white = &mut scratch.channel[..self.count];
-        for (value, &channel) in white.iter_mut().zip(&self.channels) {
-            *value = out.innovation[channel];
-        }
-        self.whitening.apply(white);
-        let shift = &mut scratch.state;
-        shift.fill(0.0); // x[k|k] − x[k|k−1]
+        self.correct_with_innovation(model, x, scratch, out);
+    }
+
+    /// As [`Gains::correct`] with the innovation in `out` already; channels without a gain keep theirs.
+    pub fn correct_with_innovation(
+        &self,
+        model: &Model,
+        x: &mut [f64],
+        scratch: &mut Scratch,
+        out: &mut Output<'_>,
+    ) {
+        let nis = self.shift(out.innovation, scratch);
+        axpy(1.0, &scratch.state, x);
+        self.report(model, nis, x, out);
+    }
+
+    /// Leaves x[k|k] − x[k|k−1] in `scratch`; returns the normalised innovation squared.
+    pub fn shift(&self, innovation: &[f64], scratch: &mut Scratch) -> f64 {
+        let (white, shift) = (self.heard.whiten(innovation, &mut scratch.channel), &mut scratch.state);
+        let n = shift.len();
+        shift.fill(0.0);
         let mut nis = 0.0;
-        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact(n));
+        let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact(n));
         for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
             let surprise = *value - dot(row, shift);
             nis += surprise * surprise * precision;
             axpy(surprise, gain, shift);
         }
-        axpy(1.0, shift, x);
-        self.report(model, nis, x, out);
+        nis
     }
 
     /// As [`Gains::correct`], to the bit, for several runs; reports only what the data change.
@@ -171,15 +164,16 @@ impl Gains {
     pub fn correct_lanes(&self, model: &Model, k: usize, runs: &mut Lanes) {
         let n = runs.x.len();
         model.innovation_lanes(k, &runs.x, (&runs.y, &runs.u), &mut runs.innovation);
-        let white = &mut runs.white[..self.count];
-        for (value, &channel) in white.iter_mut().zip(&self.channels) {
+        let channels = self.heard.channels();
+        let white = &mut runs.white[..channels.len()];
+        for (value, &channel) in white.iter_mut().zip(channels) {
             *value = runs.innovation[channel];
         }
-        self.whitening.apply_lanes(white);
+        self.heard.whitening().apply_lanes(white);
         let shift = &mut runs.next;
         shift.fill([0.0; LANES]);
         let mut nis = [0.0; LANES];
-        let rows = self.rows.chunks_exact(n).zip(self.gain.chunks_exact(n));
+        let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact(n));
         for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
             let surprise = zip(value, &lanes::dot(row, shift), |value, known| value - known);
             nis = zip(&nis, &surprise, |nis, surprise| nis + surprise * surprise * precision);
@@ -188,7 +182,7 @@ impl Gains {
         for (x, shift) in runs.x.iter_mut().zip(shift) {
             *x = zip(x, shift, |x, shift| x + shift);
         }
-        let numbers = [nis.map(|nis| -0.5 * (self.log_det + nis)), nis, [self.count as f64; LANES]];
+        let numbers = [nis.map(|nis| -0.5 * (self.log_det + nis)), nis, [channels.len() as f64; LANES]];
         runs.diagnostics.copy_from_slice(&numbers);
     }
 
@@ -202,11 +196,11 @@ impl Gains {
         out.attack.fill(f64::NAN);
         out.suspected.fill(0);
         out.trust.fill(f64::NAN);
-        for &channel in &self.channels[..self.count] {
+        for &channel in self.channels() {
             out.trust[model.channel_sensor[channel]] = 1.0;
         }
-        let numbers = [-0.5 * (self.log_det + nis), nis, self.count as f64];
-        out.diagnostics.copy_from_slice(&numbers);
+        let numbers = [-0.5 * (self.log_det + nis), nis, self.channels().len() as f64];
+        out.diagnostics[..3].copy_from_slice(&numbers);
         *out.status = self.status as u8;
     }
 }

@@ -10,6 +10,7 @@
 
 pub mod covariance;
 pub mod gains;
+pub mod heard;
 pub mod model;
 pub mod ud;
 pub mod whitening;
@@ -32,7 +33,8 @@ const SEARCH: usize = 2000;
 /// The Kalman filter of one plant.
 #[derive(Debug, Clone)]
 pub struct Kalman {
-    recursion: Recursion,
+    /// What moves the covariance.
+    pub recursion: Recursion,
     /// State before the first measurement in steady state, if there is one.
     steady: Option<State>,
 }
@@ -40,10 +42,14 @@ pub struct Kalman {
 /// Belief about x[k|k−1] and scratch.
 #[derive(Debug, Clone)]
 pub struct State {
-    k: usize,
-    x: Vec<f64>,
-    p: Covariance,
-    scratch: Scratch,
+    /// The next sample.
+    pub k: usize,
+    /// x[k|k−1].
+    pub x: Vec<f64>,
+    /// P[k|k−1] and the latest gains.
+    pub p: Covariance,
+    /// For the data part of a step.
+    pub scratch: Scratch,
     next: Vec<f64>,
 }
 
@@ -67,7 +73,9 @@ impl Kalman {
         Ok(filter)
     }
 
-    fn model(&self) -> &Model {
+    /// The plant.
+    #[must_use]
+    pub fn model(&self) -> &Model {
         &self.recursion.model
     }
 
@@ -91,7 +99,11 @@ impl Kalman {
         Ok(start)
     }
 
-    fn check_horizon(&self, k: usize) -> Result<()> {
+    /// Whether the plant has a sample k.
+    ///
+    /// # Errors
+    /// If A or C varies and does not cover it.
+    pub fn check_horizon(&self, k: usize) -> Result<()> {
         match self.model().horizon {
             Some(horizon) if k >= horizon => Err(Error::input(
                 "y",
@@ -100,6 +112,14 @@ impl Kalman {
             )),
             _ => Ok(()),
         }
+    }
+
+    /// From x[k|k] and u to x[k+1|k].
+    pub fn predict_mean(&self, state: &mut State, u: &[f64]) {
+        let State { k, x, next, .. } = state;
+        self.model().predict(*k, x, u, next);
+        std::mem::swap(x, next);
+        *k += 1;
     }
 
     /// The data part of one step.

@@ -82,6 +82,15 @@ impl Ud {
         s
     }
 
+    /// s = h P hᵀ + 1, to the bit as [`Ud::condition`] returns it.
+    #[must_use]
+    pub fn variance(&self, h: &[f64]) -> f64 {
+        self.d.iter().enumerate().fold(1.0, |s, (j, d)| {
+            let f = h[j] + dot(self.column(j), &h[..j]);
+            s + f * (d * f)
+        })
+    }
+
     /// Become the factors of W diag(weights) Wᵀ, W (n, weights.len()) by rows; W is destroyed.
     ///
     /// `weighted` is scratch, (weights.len(),).

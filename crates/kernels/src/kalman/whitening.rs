@@ -32,6 +32,21 @@ impl Noise {
         Err(Error::input("R", "a positive definite matrix", "a singular or indefinite one"))
     }
 
+    /// The same without the correlation between channels of different owners.
+    ///
+    /// # Errors
+    /// None for a noise that exists: its diagonal blocks are positive definite.
+    pub fn within(&self, owner: &[usize]) -> Result<Self> {
+        let m = owner.len();
+        let mut r = self.r.clone();
+        for (i, value) in r.iter_mut().enumerate() {
+            if owner[i / m] != owner[i % m] {
+                *value = 0.0;
+            }
+        }
+        Self::new(r, m)
+    }
+
     /// Number of channels.
     fn channels(&self) -> usize {
         self.first.len()

@@ -1,0 +1,90 @@
+//! The channels that count in one correction, with their noise made independent.
+
+use crate::kalman::model::Model;
+use crate::kalman::whitening::{Noise, Whitening};
+
+const LOG_2PI: f64 = 1.837_877_066_409_345_5;
+
+/// Channels in increasing order, and the rows of L⁻¹ C for them.
+#[derive(Debug, Clone)]
+pub struct Heard {
+    channels: Vec<usize>,
+    count: usize,
+    whitening: Whitening,
+    rows: Vec<f64>,
+    /// log det(2π L Lᵀ)
+    pub log_det: f64,
+}
+
+impl Heard {
+    /// Room for all channels.
+    #[must_use]
+    pub fn new(model: &Model) -> Self {
+        let (n, m) = (model.dims.states, model.dims.channels);
+        Self {
+            channels: vec![0; m],
+            count: 0,
+            whitening: Whitening::new(&model.noise),
+            rows: vec![0.0; m * n],
+            log_det: 0.0,
+        }
+    }
+
+    /// Overwrite with `other`, without allocation.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.count = other.count;
+        self.channels.copy_from_slice(&other.channels);
+        self.whitening.copy_from(&other.whitening);
+        self.rows.copy_from_slice(&other.rows);
+        self.log_det = other.log_det;
+    }
+
+    /// Note which channels of y are not NaN. `noise` is that of the model, or has some of its correlations left out.
+    pub fn listen(&mut self, model: &Model, noise: &Noise, k: usize, y: &[f64]) {
+        let n = model.dims.states;
+        self.count = 0;
+        for (channel, value) in y.iter().enumerate() {
+            if !value.is_nan() {
+                self.channels[self.count] = channel;
+                self.count += 1;
+            }
+        }
+        let (arrived, c) = (&self.channels[..self.count], model.c(k));
+        for (row, &channel) in self.rows.chunks_exact_mut(n).zip(arrived) {
+            row.copy_from_slice(&c[channel * n..(channel + 1) * n]);
+        }
+        // R is positive definite, hence so is every principal part of it.
+        self.whitening.factorise(noise, arrived);
+        self.whitening.apply_to_rows(&mut self.rows[..self.count * n], n);
+        self.log_det = self.count as f64 * LOG_2PI + 2.0 * self.whitening.log_det(self.count);
+    }
+
+    /// The channels, in increasing order.
+    #[must_use]
+    pub fn channels(&self) -> &[usize] {
+        &self.channels[..self.count]
+    }
+
+    /// Rows of L⁻¹ C, (channels, n).
+    #[must_use]
+    pub fn rows(&self) -> &[f64] {
+        let n = self.rows.len() / self.channels.len();
+        &self.rows[..self.count * n]
+    }
+
+    /// L⁻¹ of the innovations (m,) of these channels, at the front of `white`.
+    pub fn whiten<'a>(&self, innovation: &[f64], white: &'a mut [f64]) -> &'a [f64] {
+        let white = &mut white[..self.count];
+        for (value, &channel) in white.iter_mut().zip(&self.channels) {
+            *value = innovation[channel];
+        }
+        self.whitening.apply(white);
+        white
+    }
+
+    /// The Cholesky factor of the noise covariance.
+    #[must_use]
+    pub fn whitening(&self) -> &Whitening {
+        &self.whitening
+    }
+}

@@ -1,0 +1,56 @@
+"""What the detectors share: thresholds from a false-alarm rate, and the kernel that leaves sensors out."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from numbers import Real
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from securestate import _kernels
+from securestate._local_filters import LocalFilter
+from securestate._steady_state import SteadyState
+from securestate.errors import InputError
+from securestate.estimators.kalman import kernel_arguments
+from securestate.plant import Plant
+
+Float = NDArray[np.float64]
+
+Rule = Literal["gate", "drop", "hold", "predict", "drop-worst"]
+
+
+def checked_rate(value: object) -> float:
+    """A false-alarm rate as a number.
+
+    Raises:
+        InputError: it is no number in (0, 1).
+    """
+    if isinstance(value, bool) or not isinstance(value, Real) or not 0 < float(value) < 1:
+        raise InputError("false_alarm_rate", "a number in (0, 1)", repr(value))
+    return float(value)
+
+
+def quantiles(channels: int, false_alarm_rate: float) -> Float:
+    """Chi-square quantile 1 - false_alarm_rate for 0, 1, ... channels, (channels + 1,); infinite for none."""
+    bounds = chi2.isf(false_alarm_rate, np.arange(1, channels + 1))
+    return np.concatenate([[np.inf], np.asarray(bounds, dtype=np.float64)])
+
+
+def kernel(
+    plant: Plant,
+    steady: SteadyState | None,
+    rule: Rule,
+    false_alarm_rate: float,
+    filters: Sequence[LocalFilter] = (),
+) -> _kernels.Kernel:
+    """The Kalman filter of `plant` with a rule; `filters` are those of the sensors, if the rule asks them."""
+    local = [(f.T, f.A, f.B, f.C, f.D, f.gain, f.innovation_cov) for f in filters]
+    return _kernels.detector(
+        *kernel_arguments(plant, steady),
+        rule=rule,
+        quantiles=quantiles(plant.m, false_alarm_rate),
+        local=[tuple(map(np.ascontiguousarray, matrices)) for matrices in local],  # type: ignore[misc]
+    )

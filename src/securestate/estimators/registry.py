@@ -1,0 +1,46 @@
+"""All methods by name. A method that is registered here is offered wherever methods are chosen by name."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import final
+
+from securestate.estimators.base import Estimator
+from securestate.estimators.chi_square import ChiSquareFilter
+from securestate.estimators.innovation_gate import InnovationGate
+from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.sparse_fusion import SparseFusion
+
+
+@final
+@dataclass(frozen=True)
+class Method:
+    """One way to estimate.
+
+    Attributes:
+        design: makes the estimator of a plant; settings are keywords.
+        summary: what it does, one line without a full stop.
+    """
+
+    design: Callable[..., Estimator]
+    summary: str
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """Names of the settings that `design` takes."""
+        parameters = inspect.signature(self.design).parameters.values()
+        return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
+
+
+#: Every method by the name that users type, the one to try first in front.
+METHODS: Mapping[str, Method] = MappingProxyType(
+    {
+        "sparse": Method(SparseFusion, "finds lying sensors"),
+        "kalman": Method(KalmanFilter, "trusts every sensor"),
+        "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
+        "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+    }
+)
