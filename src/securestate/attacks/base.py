@@ -1,0 +1,347 @@
+"""What every adversary is: sensors, times, what it knows, and the signal it adds.
+
+An adversary's type says what it knows, and its method receives nothing else:
+
+* `SensorAttack`: the clean readings of the sensors it controls, from the first sample on, and their noise.
+* `PlantAttack`: also the plant and its inputs.
+* `OmniscientAttack`: also the true state, the measurement noise and the readings of all sensors.
+* `ClosedLoopAttack`: also what the defender's filter expects at every sample, while it happens.
+
+Adversaries add up: `a + b` injects the sum of what each would inject alone into the clean readings. A reading
+that one of them suppresses (NaN) is missing whatever the others add.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import ClassVar, Generic, Literal, TypeVar, final
+
+import numpy as np
+from numpy.random import Generator
+from numpy.typing import NDArray
+
+from securestate.attacks.targets import Names, Targets, as_targets
+from securestate.errors import InputError
+from securestate.plant import Plant
+
+Float = NDArray[np.float64]
+Bool = NDArray[np.bool_]
+
+View = TypeVar("View", bound="OwnSensors")
+
+#: "sensor": the sensor's own unit. "noise": standard deviations of its measurement noise.
+Unit = Literal["sensor", "noise"]
+
+
+class Knowledge(StrEnum):
+    """What an adversary knows."""
+
+    OWN_SENSORS = "its own sensors"
+    PLANT = "the plant and its own sensors"
+    EVERYTHING = "the plant, the state and the noise"
+    DEFENDER = "everything, and what the defender expects"
+
+
+@dataclass(frozen=True, eq=False)
+class OwnSensors:
+    """What can be read off the sensors under attack, for a batch of runs.
+
+    Attributes:
+        y: clean readings, (runs, T, m), sensor units; NaN on every sensor that is never attacked in that run.
+        attacked: sensors controlled at each sample, (runs, T, N).
+        start, stop: first sample under attack and the first one after it.
+        noise: standard deviation of the measurement noise, (m,), sensor units.
+        channel_sensor: owner of every channel, (m,).
+        rngs: one generator per run.
+    """
+
+    y: Float
+    attacked: Bool
+    start: int
+    stop: int
+    noise: Float
+    channel_sensor: NDArray[np.int64]
+    rngs: Callable[[], Sequence[Generator]]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """(runs, T, m)."""
+        runs, steps, m = self.y.shape
+        return runs, steps, m
+
+    @property
+    def elapsed(self) -> Float:
+        """Samples since the start, (T, 1); negative before it."""
+        return (np.arange(self.y.shape[1], dtype=np.float64) - self.start)[:, np.newaxis]
+
+    def sized(self, argument: str, size: float | tuple[float, ...], unit: Unit) -> Float:
+        """A number, or one per channel, in sensor units, (m,).
+
+        Raises:
+            InputError: as many numbers as neither one nor the channels.
+        """
+        values = np.asarray(size, dtype=np.float64)
+        if values.shape not in ((), self.noise.shape):
+            raise InputError(argument, f"one number or {len(self.noise)}, one per channel", f"{values.size}")
+        return np.broadcast_to(values, self.noise.shape) * (self.noise if unit == "noise" else 1.0)
+
+    def draw(self, one: Callable[[Generator], Float]) -> Float:
+        """Stack what `one` draws for each run, so that a run has the same numbers in any batch."""
+        return np.stack([one(rng) for rng in self.rngs()])
+
+
+@dataclass(frozen=True, eq=False)
+class PlantKnowledge(OwnSensors):
+    """Also the plant, and its inputs u (runs, T, p) in file units."""
+
+    plant: Plant
+    u: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Everything(PlantKnowledge):
+    """Also the true state x (runs, T, n), the noise v (runs, T, m) and all clean readings, sensor units."""
+
+    x: Float
+    v: Float
+    all_y: Float
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """A plant's clean trajectories, as the simulator hands them to adversaries.
+
+    Attributes:
+        plant: the plant.
+        x: true states, (runs, T, n), normalised units.
+        u: inputs, (runs, T, p), file units.
+        v: measurement noise, (runs, T, m), sensor units.
+        y: clean readings, (runs, T, m), sensor units.
+        rngs: given the number of an adversary, one generator per run.
+    """
+
+    plant: Plant
+    x: Float
+    u: Float
+    v: Float
+    y: Float
+    rngs: Callable[[int], Sequence[Generator]]
+
+
+@dataclass(frozen=True, eq=False)
+class Reaction:
+    """A closed-loop adversary at work: its injection at sample k, (runs, m), given what the defender expects."""
+
+    attack: ClosedLoopAttack
+    view: Everything
+
+    def __call__(self, k: int, expected: Float) -> Float:
+        """`expected` is offset + scale (C x[k|k-1] + D u[k]), (runs, m), sensor units; zero where not attacked."""
+        wanted = self.attack.react(self.view, k, expected)
+        return np.where(self.view.attacked[:, k, self.view.channel_sensor], wanted, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Injection:
+    """What adversaries do to clean trajectories.
+
+    Attributes:
+        a: sum of the injections known in advance, (runs, T, m), sensor units; NaN suppresses the reading.
+        attacked: sensors under attack, (runs, T, N).
+        reactions: injections that depend on the defender.
+    """
+
+    a: Float
+    attacked: Bool
+    reactions: tuple[Reaction, ...]
+
+
+class Attack(ABC):
+    """Base of all adversaries, single ones and sums."""
+
+    @property
+    @abstractmethod
+    def parts(self) -> tuple[SingleAttack, ...]:
+        """The single adversaries."""
+
+    def __add__(self, other: Attack) -> Combination:
+        """Both at once: their injections add up."""
+        if not isinstance(other, Attack):
+            return NotImplemented
+        return Combination(self.parts + other.parts)
+
+    @final
+    def stage(self, scene: Scene) -> Injection:
+        """Work out the injections into clean trajectories.
+
+        Raises:
+            InputError: a sensor that the plant lacks or protects, a size that does not fit its channels.
+            DesignError: the plant does not allow this adversary; says why.
+        """
+        a = np.zeros_like(scene.y)
+        attacked = np.zeros((*scene.y.shape[:2], scene.plant.n_sensors), dtype=np.bool_)
+        reactions: list[Reaction] = []
+        for number, part in enumerate(self.parts):
+            own = part.act(scene, number)
+            a += own.a
+            attacked |= own.attacked
+            reactions += own.reactions
+        return Injection(a, attacked, tuple(reactions))
+
+
+@final
+@dataclass(frozen=True)
+class Combination(Attack):
+    """The sum of several adversaries; made by `+`."""
+
+    members: tuple[SingleAttack, ...]
+
+    @property
+    def parts(self) -> tuple[SingleAttack, ...]:
+        """The single adversaries."""
+        return self.members
+
+
+@dataclass(frozen=True, kw_only=True)
+class SingleAttack(Attack):
+    """One adversary.
+
+    Args:
+        on: which sensors: a name, an index from 0, a list of them, or `Targets` that are drawn.
+        start: first sample under attack; 0 is the very first one.
+        stop: first sample no longer under attack; None: to the end.
+    """
+
+    on: Targets | Names
+    start: int = 0
+    stop: int | None = None
+
+    #: What this kind of adversary knows.
+    knows: ClassVar[Knowledge]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "on", as_targets(self.on))
+        check_whole("start", self.start, 0)
+        if self.stop is not None:
+            check_whole("stop", self.stop, self.start + 1)
+
+    @property
+    def parts(self) -> tuple[SingleAttack, ...]:
+        """The single adversaries: this one."""
+        return (self,)
+
+    @abstractmethod
+    def act(self, scene: Scene, number: int) -> Injection:
+        """The injection of this adversary, the `number`-th of a sum."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OpenLoopAttack(SingleAttack, Generic[View]):
+    """An adversary whose injection does not depend on the defender."""
+
+    @abstractmethod
+    def look(self, scene: Scene, own: OwnSensors) -> View:
+        """What this kind of adversary knows of the scene."""
+
+    @abstractmethod
+    def inject(self, view: View) -> Float:
+        """Injection at every sample, of a shape that broadcasts to (runs, T, m), sensor units.
+
+        Entries where a sensor is not attacked are ignored; NaN suppresses the reading.
+        """
+
+    @final
+    def act(self, scene: Scene, number: int) -> Injection:
+        """See `SingleAttack.act`."""
+        own = own_sensors(self, scene, number)
+        signal = self.inject(self.look(scene, own))
+        return Injection(np.where(own.attacked[..., own.channel_sensor], signal, 0.0), own.attacked, ())
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorAttack(OpenLoopAttack[OwnSensors]):
+    """An adversary that knows its own sensors."""
+
+    knows = Knowledge.OWN_SENSORS
+
+    @final
+    def look(self, scene: Scene, own: OwnSensors) -> OwnSensors:
+        """Its own sensors."""
+        return own
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantAttack(OpenLoopAttack[PlantKnowledge]):
+    """An adversary that knows the plant and its own sensors."""
+
+    knows = Knowledge.PLANT
+
+    @final
+    def look(self, scene: Scene, own: OwnSensors) -> PlantKnowledge:
+        """Its own sensors and the plant."""
+        return PlantKnowledge(**vars(own), plant=scene.plant, u=scene.u)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OmniscientAttack(OpenLoopAttack[Everything]):
+    """An adversary that knows the plant, the state and the noise."""
+
+    knows = Knowledge.EVERYTHING
+
+    @final
+    def look(self, scene: Scene, own: OwnSensors) -> Everything:
+        """The whole scene."""
+        return everything(scene, own)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedLoopAttack(SingleAttack):
+    """An adversary that also knows, at every sample, what the defender expects its sensors to send."""
+
+    knows = Knowledge.DEFENDER
+
+    @abstractmethod
+    def react(self, view: Everything, k: int, expected: Float) -> Float:
+        """Injection at sample k, (runs, m), sensor units; `expected` as for `Reaction`."""
+
+    @final
+    def act(self, scene: Scene, number: int) -> Injection:
+        """See `SingleAttack.act`."""
+        own = own_sensors(self, scene, number)
+        return Injection(np.zeros(own.shape), own.attacked, (Reaction(self, everything(scene, own)),))
+
+
+def own_sensors(attack: SingleAttack, scene: Scene, number: int) -> OwnSensors:
+    """What the sensors that an adversary controls tell it."""
+    plant, (runs, steps, _) = scene.plant, scene.y.shape
+    targets, attacked = as_targets(attack.on), np.zeros((runs, steps, plant.n_sensors), dtype=np.bool_)
+    stop = steps if attack.stop is None else min(attack.stop, steps)
+    if targets.random:
+        chosen = np.stack([targets.choose(plant, steps, rng) for rng in scene.rngs(number)])
+    else:
+        chosen = targets.choose(plant, steps, None)[np.newaxis]
+    attacked[:, attack.start : stop] = chosen[:, attack.start : stop]
+    ever = attacked.any(axis=1)[:, plant.channel_sensor]
+    return OwnSensors(
+        y=np.where(ever[:, np.newaxis], scene.y, np.nan),
+        attacked=attacked,
+        start=attack.start,
+        stop=stop,
+        noise=plant.scale * np.sqrt(np.diag(plant.R)),
+        channel_sensor=plant.channel_sensor,
+        rngs=lambda: scene.rngs(number),
+    )
+
+
+def everything(scene: Scene, own: OwnSensors) -> Everything:
+    """The whole scene, for the adversary with these sensors."""
+    return Everything(**vars(own), plant=scene.plant, u=scene.u, x=scene.x, v=scene.v, all_y=scene.y)
+
+
+def check_whole(argument: str, value: object, least: int) -> None:
+    """Refuse anything but a whole number >= least."""
+    if isinstance(value, bool) or not isinstance(value, int) or value < least:
+        raise InputError(argument, f"a whole number >= {least}", repr(value))
