@@ -7,5 +7,5 @@ compile() {
     .venv/bin/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes --no-header "$@" >/dev/null
 }
 
-compile "$@" --extra control --output-file requirements/dev.txt pyproject.toml requirements/dev.in
+compile "$@" --extra control --extra dask --output-file requirements/dev.txt pyproject.toml requirements/dev.in
 compile --constraints requirements/dev.txt --output-file requirements/uv.txt requirements/uv.in

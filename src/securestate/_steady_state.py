@@ -7,6 +7,7 @@ It exists if and only if (A, C) is detectable and noise reaches every mode on th
 """
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import final
 
@@ -28,6 +29,9 @@ GOOD = 1e-13
 
 #: Eigenvalues this close to the unit circle count as on it.
 EDGE = 1e-9
+
+#: A filter whose error decays at least this fast exists beyond doubt, if it solves the equation.
+SAFE = 1 - 1e-5
 
 
 @final
@@ -65,11 +69,22 @@ def steady_state(plant: Plant) -> SteadyState:
     """
     if plant.time_varying:
         raise DesignError("a time-varying plant has no steady state", "give a prior with a covariance P")
+    solutions = []
+    for solve in (_solve_doubling, _solve_schur):
+        solutions.append(solve(plant))
+        steady = None if solutions[-1] is None else _derive(plant, solutions[-1])
+        if steady is not None and _residual(plant, steady) <= GOOD and _radius(steady.M) <= SAFE:
+            return steady
+    return _with_care(plant, solutions)
+
+
+def _with_care(plant: Plant, solutions: Sequence[Array | None]) -> SteadyState:
+    """The best of several solutions that are not accurate beyond doubt; refuses a plant that has none."""
     _refuse_impossible(plant)
     best, error = None, TOLERANCE
-    for solve in (_solve_schur, _solve_doubling):
-        steady = _finish(plant, solve(plant))
-        if steady is not None and _residual(plant, steady) <= error and _stable(steady.M):
+    for solution in solutions:
+        steady = _finish(plant, solution)
+        if steady is not None and _residual(plant, steady) <= error and _radius(steady.M) < 1.0:
             best, error = steady, _residual(plant, steady)
         if best is not None and error <= GOOD:
             return best
@@ -168,8 +183,9 @@ def _residual(plant: Plant, steady: SteadyState) -> float:
     return residual if np.isfinite(residual) else np.inf
 
 
-def _stable(M: Array) -> bool:
-    return bool(np.max(np.abs(np.linalg.eigvals(M))) < 1.0)
+def _radius(M: Array) -> float:
+    """Largest |eigenvalue|; inf if M is not finite."""
+    return float(np.max(np.abs(np.linalg.eigvals(M)))) if np.all(np.isfinite(M)) else np.inf
 
 
 def _symmetric(P: Array) -> Array:

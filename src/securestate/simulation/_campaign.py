@@ -134,7 +134,9 @@ def _cluster(dask: str, width: int) -> Iterator[tuple[Executor, int]]:
             try:
                 client = distributed.Client(dask, timeout="10s")
             except (OSError, ValueError) as error:
-                raise InputError("dask", "the address of a dask scheduler, or 'local'", f"{dask!r} ({error})") from None
+                raise InputError(
+                    "dask", "the address of a dask scheduler, or 'local'", f"{dask!r} ({error})"
+                ) from None
         with client:
             threads = sum(client.nthreads().values())
             yield client.get_executor(pure=False, retries=TRIES), max(threads, 1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import os
 import threading
 import time
@@ -16,7 +15,7 @@ from securestate.errors import SecurestateError
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Plant
 from securestate.simulation.metrics import Scores, score
-from securestate.simulation.scenario import Recipe, Scenario, code_key
+from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
 from securestate.simulation.simulate import Simulator
 from securestate.simulation.trajectory import Trajectory
 
@@ -97,7 +96,7 @@ def _group(task: Task, group: int) -> Iterator[Done]:
             if recipe.key in refusals:
                 continue
             try:
-                estimator = _design(recipe, scenario, simulator.plant)
+                estimator = _design(recipe, scenario, first, simulator.plant)
                 run, met = trajectory.confront(estimator)
                 parts[recipe.key].append(score(run, met, scenario.score_from))
                 if first == 0:
@@ -115,7 +114,13 @@ def _group(task: Task, group: int) -> Iterator[Done]:
 def _microseconds(estimator: Estimator | OracleFilter, met: Trajectory) -> float:
     """Time per sample of one filter over the first run."""
     one = replace(
-        met, x=met.x[:1], u=met.u[:1], clean=met.clean[:1], y=met.y[:1], a=met.a[:1], attacked=met.attacked[:1]
+        met,
+        x=met.x[:1],
+        u=met.u[:1],
+        clean=met.clean[:1],
+        y=met.y[:1],
+        a=met.a[:1],
+        attacked=met.attacked[:1],
     )
     best = float("inf")
     for _ in range(TIMINGS):
@@ -137,18 +142,16 @@ _kept = _Kept()
 
 
 def _simulator(scenario: Scenario, run: int) -> Simulator:
-    """The simulator of a run's plant; kept if runs share one."""
-    if not isinstance(scenario.plant, Plant):
-        return Simulator(scenario.plant_of(run), scenario.steps, scenario.prior)
-    make = functools.partial(Simulator, scenario.plant, scenario.steps, scenario.prior)
-    return _keep(_kept.simulators, scenario.key, make)
+    """The simulator of a run's plant; kept, since others of its runs may follow."""
+    key = digest(scenario.plant_key_of(run), scenario.key)
+    return _keep(
+        _kept.simulators, key, lambda: Simulator(scenario.plant_of(run), scenario.steps, scenario.prior)
+    )
 
 
-def _design(recipe: Recipe, scenario: Scenario, plant: Plant) -> Estimator | OracleFilter:
-    """The estimator for a run's plant; kept if runs share one."""
-    if not isinstance(scenario.plant, Plant):
-        return recipe(plant)
-    return _keep(_kept.designs, (scenario.plant_key, recipe.key), functools.partial(recipe, plant))
+def _design(recipe: Recipe, scenario: Scenario, run: int, plant: Plant) -> Estimator | OracleFilter:
+    """The estimator for a run's plant; kept, since other scenarios may have the same plant."""
+    return _keep(_kept.designs, (scenario.plant_key_of(run), recipe.key), lambda: recipe(plant))
 
 
 def _keep(kept: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from securestate.attacks.base import Attack
 from securestate.errors import InputError
@@ -130,7 +129,9 @@ def _recipe(name: str | None, design: str | Design) -> Recipe:
     return Recipe(name or getattr(design, "__name__", repr(design)), design)
 
 
-def _plants(plant: Plant | PlantFamily | Mapping[str, Plant | PlantFamily]) -> Mapping[str, Plant | PlantFamily]:
+def _plants(
+    plant: Plant | PlantFamily | Mapping[str, Plant | PlantFamily],
+) -> Mapping[str, Plant | PlantFamily]:
     plants = plant if isinstance(plant, Mapping) else {getattr(plant, "name", "") or "plant": plant}
     for one in plants.values():
         if not isinstance(one, Plant | PlantFamily):
@@ -142,7 +143,9 @@ def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
     if isinstance(attacks, Mapping):
         return attacks
     several = [attacks] if isinstance(attacks, Attack) else list(attacks)
-    names = ["none" if one is None else " + ".join(type(part).__name__ for part in one.parts) for one in several]
+    names = [
+        "none" if one is None else " + ".join(type(part).__name__ for part in one.parts) for one in several
+    ]
     twice = {name for name in names if names.count(name) > 1}
     return {
         f"{name} {i}" if name in twice else name: one
@@ -165,11 +168,13 @@ def _open(out: str | os.PathLike[str] | None, recipes: Sequence[Recipe]) -> Stor
 
 def _cell(scenario: Scenario, kept: Sequence[Kept]) -> Cell:
     """Everything that is kept of one estimator in one scenario."""
-    wanted = [one for one in kept if one.group in groups_of(scenario) and one.runs == runs_in(scenario, one.group)]
+    wanted = [
+        one for one in kept if one.group in groups_of(scenario) and one.runs == runs_in(scenario, one.group)
+    ]
     refusal = next((one.refusal for one in wanted if one.refusal), "")
     timings = [one.microseconds for one in wanted if one.microseconds is not None]
     sensors, steps = scenario.sizes
-    scores = None if refusal else Scores.join([Scores.unpack(one.scores, len(sensors), steps) for one in wanted])
+    scores = (
+        None if refusal else Scores.join([Scores.unpack(one.scores, len(sensors), steps) for one in wanted])
+    )
     return Cell(scores, refusal, min(timings, default=float("nan")))
-
-

@@ -172,7 +172,10 @@ def _table(
             curves[i, j, : scenario.steps] = scores.curve / len(scores.per_run)
     axes = ("scenario", "estimator")
     data: dict[str, Any] = {name: (axes, figures[name], {"long_name": MEANING[name]}) for name in MEANING}
-    data["refusal"] = (axes, np.array([[cells[s.name, n].refusal for n in names] for s in scenarios], dtype=object))
+    data["refusal"] = (
+        axes,
+        np.array([[cells[s.name, n].refusal for n in names] for s in scenarios], dtype=object),
+    )
     data["squared_error"] = ((*axes, "time"), curves)
     coords: dict[str, Any] = {
         "scenario": [scenario.name for scenario in scenarios],

@@ -53,7 +53,9 @@ class Scores:
 
     def pack(self) -> bytes:
         """All numbers, to the bit."""
-        return np.concatenate([part.ravel() for part in (self.per_run, self.per_sensor, self.curve)]).tobytes()
+        return np.concatenate(
+            [part.ravel() for part in (self.per_run, self.per_sensor, self.curve)]
+        ).tobytes()
 
     @staticmethod
     def unpack(packed: bytes, sensors: int, steps: int) -> Scores:

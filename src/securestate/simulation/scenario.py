@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,7 +53,11 @@ class Scenario:
     attack_name: str = ""
 
     def __post_init__(self) -> None:
-        for argument, value, least in (("steps", self.steps, 1), ("runs", self.runs, 1), ("seed", self.seed, 0)):
+        for argument, value, least in (
+            ("steps", self.steps, 1),
+            ("runs", self.runs, 1),
+            ("seed", self.seed, 0),
+        ):
             if isinstance(value, bool) or not isinstance(value, int) or value < least:
                 raise InputError(argument, f"a whole number >= {least}", repr(value))
         if isinstance(self.score_from, bool) or not 0 <= self.score_from < self.steps:
@@ -75,7 +80,7 @@ class Scenario:
             return [(first, stop)]
         size = self.plant.runs_per_plant
         edges = [first, *range((first // size + 1) * size, stop, size), stop]
-        return list(zip(edges[:-1], edges[1:], strict=True))
+        return list(itertools.pairwise(edges))
 
     @functools.cached_property
     def sizes(self) -> tuple[tuple[str, ...], int]:
@@ -88,6 +93,12 @@ class Scenario:
         if isinstance(self.plant, Plant):
             return content(self.plant)
         return digest("family", self.plant.name, str(self.plant.runs_per_plant))
+
+    def plant_key_of(self, run: int) -> str:
+        """Hash of the plant of one run."""
+        if isinstance(self.plant, Plant):
+            return self.plant_key
+        return digest(self.plant_key, str(self.seed), str(run // self.plant.runs_per_plant))
 
     @functools.cached_property
     def key(self) -> str:
@@ -141,7 +152,9 @@ def content(value: Plant | Belief) -> str:
         if name == "sensors":
             continue
         parts.update(name.encode())
-        parts.update(f"{held.shape}".encode() + held.tobytes() if isinstance(held, np.ndarray) else repr(held).encode())
+        parts.update(
+            f"{held.shape}".encode() + held.tobytes() if isinstance(held, np.ndarray) else repr(held).encode()
+        )
     return parts.hexdigest()
 
 

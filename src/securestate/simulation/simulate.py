@@ -187,8 +187,9 @@ def _inputs(u: ArrayLike | None, plant: Plant, runs: int, steps: int) -> Float:
 
 def _nobody(scene: Scene) -> Injection:
     runs, steps, _ = scene.y.shape
-    return Injection(np.zeros_like(scene.y), np.zeros((runs, steps, scene.plant.n_sensors), dtype=np.bool_), ())
-
+    return Injection(
+        np.zeros_like(scene.y), np.zeros((runs, steps, scene.plant.n_sensors), dtype=np.bool_), ()
+    )
 
 
 def _whole(argument: str, value: object, least: int) -> None:

@@ -40,7 +40,9 @@ def stabilised(plant: Plant) -> Plant:
         ('stabilising x1',)
     """
     if plant.time_varying:
-        raise DesignError("a time-varying plant cannot be stabilised", "simulate it as it is, over fewer samples")
+        raise DesignError(
+            "a time-varying plant cannot be stabilised", "simulate it as it is, over fewer samples"
+        )
     if growth(plant) <= UNSTABLE or feedback_gain(plant) is not None:
         return plant
     extra = np.eye(plant.n)

@@ -79,9 +79,7 @@ class Trajectory:
             return estimator.run(self.y, u, self.prior, attacked=self.attacked, covariance=covariance), self
         return estimator.run(self.y, u, self.prior, covariance=covariance), self
 
-    def _react(
-        self, estimator: Estimator | OracleFilter, *, covariance: bool
-    ) -> tuple[Run, Trajectory]:
+    def _react(self, estimator: Estimator | OracleFilter, *, covariance: bool) -> tuple[Run, Trajectory]:
         """Sample by sample: what the defender expects, what the adversaries make of it, what the defender does."""
         plant = self.plant
         live = estimator.start(self.prior, runs=self.runs)
