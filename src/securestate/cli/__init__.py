@@ -1,4 +1,4 @@
-"""The command line: `securestate estimate` and `securestate plant check`."""
+"""The command line: `securestate estimate`, `securestate compare` and `securestate plant check`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from securestate.cli import estimate, plant
+from securestate.cli import compare, estimate, plant
 from securestate.cli.exits import HELP, Exit, outcome
 
 app = typer.Typer(
@@ -25,6 +25,7 @@ app = typer.Typer(
 )
 plants = typer.Typer(help="Look at a plant before any data.", no_args_is_help=True)
 app.command("estimate", epilog=HELP)(estimate.estimate)
+app.command("compare", epilog=HELP)(compare.compare)
 plants.command("check", epilog=HELP)(plant.check)
 app.add_typer(plants, name="plant")
 

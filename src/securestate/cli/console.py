@@ -32,20 +32,35 @@ def output() -> Console:
 @contextmanager
 def progress(samples: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
     """Show a bar on stderr if that is a terminal; the function given takes the number of samples done."""
+    with steps("estimating", "samples", quiet=quiet) as show:
+        counted = 0
+
+        def advance(done: int) -> None:
+            nonlocal counted
+            counted += done
+            show(counted, samples)
+
+        show(0, samples)
+        yield advance
+
+
+@contextmanager
+def steps(verb: str, things: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
+    """Show a bar on stderr if that is a terminal; the function given takes how many are done, and of how many."""
     console = Console(stderr=True)
     bar = Progress(
-        TextColumn("estimating"),
+        TextColumn(verb),
         BarColumn(),
         MofNCompleteColumn(),
-        TextColumn("samples"),
+        TextColumn(things),
         TimeRemainingColumn(),
         console=console,
         transient=True,
         disable=quiet or not console.is_terminal,
     )
     with bar:
-        task = bar.add_task("estimating", total=samples)
-        yield lambda done: bar.advance(task, done)
+        task = bar.add_task(verb, total=None)
+        yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
 def table(*headings: str) -> Table:
