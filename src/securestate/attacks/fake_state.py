@@ -79,7 +79,7 @@ class FakeState(PlantAttack):
         if self.along == "prior":
             variances, directions = np.linalg.eigh(steady_state(view.plant).P_prior)
             q: Float = directions[:, -1] * np.sign(directions[np.argmax(np.abs(directions[:, -1])), -1])
-            return shift * np.sqrt(variances[-1]) * q
+            return q * (float(shift) * np.sqrt(variances[-1]))
         if shift.shape not in ((), (n,)):
             raise InputError("shift", f"one number or {n}, one per state", f"{shift.size}")
         return np.broadcast_to(shift, (n,))

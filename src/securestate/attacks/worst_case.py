@@ -17,11 +17,12 @@ from securestate.resilience.margin import SLOW, margin
 @final
 @dataclass(frozen=True)
 class WorstCase(PlantAttack):
-    """a = scale C d[k], d[k] = Re(s lambda^(k - start) v), (lambda, v) the lie of `securestate.resilience.margin`.
+    """a = scale C d[k], d[k] = Re(s lambda^(k - start) v): of all lies along a mode the one that shows least.
 
-    The honest sensors contradict it by eta times its size only, eta the margin; if eta is 0 they do not at
-    all. A mode that fades is kept up: with |lambda| < 1 the factor is lambda / |lambda|, and the more slowly
-    the mode fades the less the lie differs from the plant's own motion.
+    Mode and direction are those of `securestate.resilience.margin` for these sensors. The honest ones
+    contradict the lie by eta times its size, eta the margin; if eta is 0, not at all. A mode that fades is
+    kept up: with |lambda| < 1 the factor is lambda / |lambda|. The more slowly the mode fades, the less this
+    differs from the plant's own motion.
 
     Args:
         size: of the lie at the start, > 0: the root sum of squares of C d over the channels of all sensors,
@@ -53,7 +54,6 @@ class WorstCase(PlantAttack):
     def inject(self, view: PlantKnowledge) -> Float:
         """See `OpenLoopAttack.inject`."""
         worst = margin(view.plant, require_fixed(self.on).indices(view.plant), self.cut)
-        turning = (
-            np.sqrt(2.0) if np.iscomplexobj(worst.mode.direction) and worst.mode.eigenvalue.imag else 1.0
-        )
+        # The real part of a turning direction has half of its square on average.
+        turning = np.sqrt(2.0) if worst.mode.eigenvalue.imag else 1.0
         return view.told(along_mode(worst.mode, turning * self.size / worst.seen, view.elapsed))

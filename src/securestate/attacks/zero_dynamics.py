@@ -32,15 +32,14 @@ BLIND = 1e-8
 class ZeroDynamics(PlantAttack):
     """a = scale C d[k], d[k] = Re(size lambda^(k - start) v): the plant's own motion along a hidden mode.
 
-    (lambda, v) is the mode with the largest |lambda| >= 1 that the sensors left alone do not see, while one of
-    the attacked ones does. All readings together are then those of a state x + d that obeys the plant, so no
-    estimator can tell it from x: its error grows as |lambda|^k and its innovations show nothing.
+    (lambda, v) is the mode with the largest |lambda| >= 1 that the sensors left alone do not see, while one
+    of the attacked ones does. From the start on, all readings together are those of a state x + d that obeys
+    the plant. No estimator can tell it from x: its error grows as |lambda|^k, its innovations show nothing.
 
-    But for the first step. Before the start d is zero, at the start it is size v, and no motion of the plant
-    leads from one to the other: the honest sensors do not see d, and in the attacked ones a step of C d cannot
-    be avoided, because a lie that starts from exactly zero stays zero. The filter sees that step as an
-    innovation, which dies out while d grows. So the size is tiny by default, and the harm takes its time: a
-    factor of 1e10 needs 23 / log|lambda| samples.
+    But for the first step. Before the start d is zero, at the start it is size v. The plant's own motion
+    never leads from zero to v, so the step C d cannot be avoided: a lie that starts from exactly zero stays
+    zero. A filter sees that step as an innovation, which dies out while d grows. So the size is tiny by
+    default, and the harm takes its time: growth by 1e10 needs 23 / log|lambda| samples.
 
     A marginal mode, |lambda| = 1, does not grow: the lie keeps the size of its first step, and with the
     default size does no harm. There, push slowly: `FakeState(shift, profile="ramp")` along that mode.
