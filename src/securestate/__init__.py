@@ -1,5 +1,6 @@
 """Estimate the state of a plant from many sensors while some of them lie, and name the liars."""
 
+from securestate import attacks
 from securestate.errors import (
     DesignError,
     InputError,
@@ -48,6 +49,7 @@ __all__ = [
     "ShapeError",
     "SparseFusion",
     "Status",
+    "attacks",
     "read_measurements",
     "write_run",
 ]

@@ -7,6 +7,7 @@ The rows of T_i are an orthonormal basis of what sensor i observes, so that the 
 that the sensor does not see never decays. Where the sensor sees every mode, T_i is square.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import final
 
@@ -45,8 +46,8 @@ class LocalFilter:
     innovation_cov: Array
 
 
-def local_filters(plant: Plant) -> tuple[LocalFilter, ...]:
-    """Design the filter of every sensor on its own.
+def local_filters(plant: Plant, sensors: Iterable[int] | None = None) -> tuple[LocalFilter, ...]:
+    """Design the filter of every sensor on its own, or of the given ones (indices from 0).
 
     Raises:
         DesignError: the plant varies in time, or a sensor has no steady-state filter; names it.
@@ -59,7 +60,7 @@ def local_filters(plant: Plant) -> tuple[LocalFilter, ...]:
     """
     if plant.time_varying:
         raise DesignError("local steady-state filters need a time-invariant plant", "give constant A and C")
-    return tuple(_local_filter(plant, i) for i in range(plant.n_sensors))
+    return tuple(_local_filter(plant, i) for i in (range(plant.n_sensors) if sensors is None else sensors))
 
 
 def _local_filter(plant: Plant, sensor: int) -> LocalFilter:

@@ -17,12 +17,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import cache
 from typing import ClassVar, Generic, Literal, TypeVar, final
 
 import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from securestate.attacks._arguments import whole
 from securestate.attacks.targets import Names, Targets, as_targets
 from securestate.errors import InputError
 from securestate.plant import Plant
@@ -34,6 +36,9 @@ View = TypeVar("View", bound="OwnSensors")
 
 #: "sensor": the sensor's own unit. "noise": standard deviations of its measurement noise.
 Unit = Literal["sensor", "noise"]
+
+#: One number for all channels, or one per channel of the plant.
+Size = float | Sequence[float]
 
 
 class Knowledge(StrEnum):
@@ -55,7 +60,7 @@ class OwnSensors:
         start, stop: first sample under attack and the first one after it.
         noise: standard deviation of the measurement noise, (m,), sensor units.
         channel_sensor: owner of every channel, (m,).
-        rngs: one generator per run.
+        rngs: one generator per run, always the same: a draw goes on where the one before ended.
     """
 
     y: Float
@@ -77,16 +82,20 @@ class OwnSensors:
         """Samples since the start, (T, 1); negative before it."""
         return (np.arange(self.y.shape[1], dtype=np.float64) - self.start)[:, np.newaxis]
 
-    def sized(self, argument: str, size: float | tuple[float, ...], unit: Unit) -> Float:
+    def unit(self, unit: Unit) -> Float:
+        """How much one unit is on each channel in sensor units, (m,)."""
+        return self.noise if unit == "noise" else np.ones_like(self.noise)
+
+    def sized(self, argument: str, size: Size, unit: Unit) -> Float:
         """A number, or one per channel, in sensor units, (m,).
 
         Raises:
-            InputError: as many numbers as neither one nor the channels.
+            InputError: there are neither one nor as many numbers as channels.
         """
         values = np.asarray(size, dtype=np.float64)
         if values.shape not in ((), self.noise.shape):
             raise InputError(argument, f"one number or {len(self.noise)}, one per channel", f"{values.size}")
-        return np.broadcast_to(values, self.noise.shape) * (self.noise if unit == "noise" else 1.0)
+        return values * self.unit(unit)
 
     def draw(self, one: Callable[[Generator], Float]) -> Float:
         """Stack what `one` draws for each run, so that a run has the same numbers in any batch."""
@@ -99,6 +108,12 @@ class PlantKnowledge(OwnSensors):
 
     plant: Plant
     u: Float
+
+    def told(self, d: Float) -> Float:
+        """What the sensors add if all claim that the state is x + d: scale C d for d (T, n), sensor units."""
+        C = self.plant.C[: len(d)] if self.plant.C.ndim == 3 else self.plant.C
+        shift: Float = (C @ d[:, :, np.newaxis])[:, :, 0]
+        return self.plant.scale * shift
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +135,8 @@ class Scene:
         u: inputs, (runs, T, p), file units.
         v: measurement noise, (runs, T, m), sensor units.
         y: clean readings, (runs, T, m), sensor units.
-        rngs: given the number of an adversary, one generator per run.
+        rngs: given the number of an adversary in a sum, one fresh generator per run. The adversary draws its
+            sensors from it first, then its signal.
     """
 
     plant: Plant
@@ -133,13 +149,16 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Reaction:
-    """A closed-loop adversary at work: its injection at sample k, (runs, m), given what the defender expects."""
+    """A closed-loop adversary at work: what it injects at a sample, given what the defender expects there."""
 
     attack: ClosedLoopAttack
     view: Everything
 
     def __call__(self, k: int, expected: Float) -> Float:
-        """`expected` is offset + scale (C x[k|k-1] + D u[k]), (runs, m), sensor units; zero where not attacked."""
+        """The injection at sample k, (runs, m), sensor units; zero where not attacked.
+
+        `expected` is offset + scale (C x[k|k-1] + D ut[k]), (runs, m), sensor units.
+        """
         wanted = self.attack.react(self.view, k, expected)
         return np.where(self.view.attacked[:, k, self.view.channel_sensor], wanted, 0.0)
 
@@ -223,10 +242,14 @@ class SingleAttack(Attack):
     knows: ClassVar[Knowledge]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "on", as_targets(self.on))
-        check_whole("start", self.start, 0)
-        if self.stop is not None:
-            check_whole("stop", self.stop, self.start + 1)
+        start = whole("start", self.start, 0)
+        stop = None if self.stop is None else whole("stop", self.stop, start + 1)
+        self._keep(on=as_targets(self.on), start=start, stop=stop)
+
+    def _keep(self, **checked: object) -> None:
+        """Store checked fields; only while the object is made."""
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
 
     @property
     def parts(self) -> tuple[SingleAttack, ...]:
@@ -243,7 +266,7 @@ class OpenLoopAttack(SingleAttack, Generic[View]):
     """An adversary whose injection does not depend on the defender."""
 
     @abstractmethod
-    def look(self, scene: Scene, own: OwnSensors) -> View:
+    def look(self, scene: Scene, own: OwnSensors, /) -> View:
         """What this kind of adversary knows of the scene."""
 
     @abstractmethod
@@ -268,7 +291,7 @@ class SensorAttack(OpenLoopAttack[OwnSensors]):
     knows = Knowledge.OWN_SENSORS
 
     @final
-    def look(self, scene: Scene, own: OwnSensors) -> OwnSensors:
+    def look(self, _scene: Scene, own: OwnSensors, /) -> OwnSensors:
         """Its own sensors."""
         return own
 
@@ -280,7 +303,7 @@ class PlantAttack(OpenLoopAttack[PlantKnowledge]):
     knows = Knowledge.PLANT
 
     @final
-    def look(self, scene: Scene, own: OwnSensors) -> PlantKnowledge:
+    def look(self, scene: Scene, own: OwnSensors, /) -> PlantKnowledge:
         """Its own sensors and the plant."""
         return PlantKnowledge(**vars(own), plant=scene.plant, u=scene.u)
 
@@ -292,7 +315,7 @@ class OmniscientAttack(OpenLoopAttack[Everything]):
     knows = Knowledge.EVERYTHING
 
     @final
-    def look(self, scene: Scene, own: OwnSensors) -> Everything:
+    def look(self, scene: Scene, own: OwnSensors, /) -> Everything:
         """The whole scene."""
         return everything(scene, own)
 
@@ -316,15 +339,11 @@ class ClosedLoopAttack(SingleAttack):
 
 def own_sensors(attack: SingleAttack, scene: Scene, number: int) -> OwnSensors:
     """What the sensors that an adversary controls tell it."""
-    plant, (runs, steps, _) = scene.plant, scene.y.shape
-    targets, attacked = as_targets(attack.on), np.zeros((runs, steps, plant.n_sensors), dtype=np.bool_)
+    plant, steps = scene.plant, scene.y.shape[1]
+    rngs = cache(lambda: scene.rngs(number))
     stop = steps if attack.stop is None else min(attack.stop, steps)
-    if targets.random:
-        chosen = np.stack([targets.choose(plant, steps, rng) for rng in scene.rngs(number)])
-    else:
-        chosen = targets.choose(plant, steps, None)[np.newaxis]
-    attacked[:, attack.start : stop] = chosen[:, attack.start : stop]
-    ever = attacked.any(axis=1)[:, plant.channel_sensor]
+    attacked = _attacked(attack, scene, stop, rngs)
+    ever = np.asarray(attacked.any(axis=1))[:, plant.channel_sensor]
     return OwnSensors(
         y=np.where(ever[:, np.newaxis], scene.y, np.nan),
         attacked=attacked,
@@ -332,16 +351,20 @@ def own_sensors(attack: SingleAttack, scene: Scene, number: int) -> OwnSensors:
         stop=stop,
         noise=plant.scale * np.sqrt(np.diag(plant.R)),
         channel_sensor=plant.channel_sensor,
-        rngs=lambda: scene.rngs(number),
+        rngs=rngs,
     )
+
+
+def _attacked(attack: SingleAttack, scene: Scene, stop: int, rngs: Callable[[], Sequence[Generator]]) -> Bool:
+    """The sensors under attack, (runs, T, N)."""
+    targets, (runs, steps, _) = as_targets(attack.on), scene.y.shape
+    attacked = np.zeros((runs, steps, scene.plant.n_sensors), dtype=np.bool_)
+    drawn = rngs() if targets.random else (None,)
+    chosen = np.stack([targets.choose(scene.plant, steps, rng) for rng in drawn])
+    attacked[:, attack.start : stop] = chosen[:, attack.start : stop]
+    return attacked
 
 
 def everything(scene: Scene, own: OwnSensors) -> Everything:
     """The whole scene, for the adversary with these sensors."""
     return Everything(**vars(own), plant=scene.plant, u=scene.u, x=scene.x, v=scene.v, all_y=scene.y)
-
-
-def check_whole(argument: str, value: object, least: int) -> None:
-    """Refuse anything but a whole number >= least."""
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(argument, f"a whole number >= {least}", repr(value))

@@ -2,9 +2,19 @@
 
 from securestate.resilience.detectability import (
     Mode,
+    modes,
     undetectable_modes,
     unobserved_modes,
     unreachable_noise_modes,
 )
+from securestate.resilience.margin import Margin, margin
 
-__all__ = ["Mode", "undetectable_modes", "unobserved_modes", "unreachable_noise_modes"]
+__all__ = [
+    "Margin",
+    "Mode",
+    "margin",
+    "modes",
+    "undetectable_modes",
+    "unobserved_modes",
+    "unreachable_noise_modes",
+]

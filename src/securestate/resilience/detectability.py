@@ -52,6 +52,23 @@ class Mode:
         return f"mode {shown} ({', '.join(self.states)})"
 
 
+def modes(plant: Plant, cut: float = CUT) -> tuple[Mode, ...]:
+    """Find all modes with |eigenvalue| >= cut, largest first; equal eigenvalues give a basis of directions.
+
+    Raises:
+        DesignError: the plant varies in time.
+        InputError: cut is not a number >= 0.
+
+    Examples:
+        >>> from securestate.plant import Sensor
+        >>> plant = Plant([[1, 0], [1, 0.5]], [[1, 0], [0, 1]], [Sensor("level", C=[0, 1], R=1)])
+        >>> print(*modes(plant, cut=0), sep="; ")
+        mode 1 (x2, x1); mode 0.5 (x2)
+    """
+    _require_constant(plant)
+    return _hidden(plant.A, np.zeros((0, plant.n)), cut, plant.state_names)
+
+
 def undetectable_modes(plant: Plant, cut: float = CUT) -> tuple[Mode, ...]:
     """Find the modes with |eigenvalue| >= cut that no sensor sees; none means that the plant is detectable.
 
@@ -115,7 +132,13 @@ def _hidden(A: Array, C: Array, cut: float, names: tuple[str, ...]) -> tuple[Mod
             if not _known(value, direction, found):
                 found.append((value, direction))
     found.sort(key=lambda item: (-abs(item[0]), -item[0].real))
-    return tuple(Mode(value, _largest(direction, names), direction) for value, direction in found)
+    return tuple(mode_along(value, direction, names) for value, direction in found)
+
+
+def mode_along(value: complex, direction: Complex, names: tuple[str, ...]) -> Mode:
+    """Return the mode with this eigenvalue and direction, of any length, and the states it moves most."""
+    unit = _normal(direction)
+    return Mode(value, _largest(unit, names), unit)
 
 
 def _candidates(A: Array) -> list[complex]:
