@@ -12,9 +12,13 @@ from securestate.cli.exits import Exit
 
 def compare(
     suite: Annotated[Path, typer.Argument(help="What to compare, TOML.")],
-    out: Annotated[Path, typer.Option(help="Folder for the results; what is there already is not done again.")],
+    out: Annotated[
+        Path, typer.Option(help="Folder for the results; what is there already is not done again.")
+    ],
     report: Annotated[Path | None, typer.Option(help="Write the report: one .html file.")] = None,
-    runs: Annotated[int | None, typer.Option(help="Runs per scenario, instead of the number in the file.")] = None,
+    runs: Annotated[
+        int | None, typer.Option(help="Runs per scenario, instead of the number in the file.")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(help="Threads, or processes with --dask local (default: one per core).")
     ] = None,

@@ -99,8 +99,9 @@ def campaign(
         ("scenarios", [scenario.name for scenario in scenarios]),
         ("estimators", [recipe.name for recipe in recipes]),
     ):
-        if len(set(names)) < len(names):
-            raise InputError(argument, "names that differ", ", ".join(names))
+        twice = {name for name in names if names.count(name) > 1}
+        if twice:
+            raise InputError(argument, "names that differ", f"{', '.join(sorted(twice))} more than once")
     if not scenarios:
         raise InputError("scenarios", "one at least", "none")
     store = _open(out, recipes)

@@ -194,7 +194,9 @@ class _Reader:
     def plant(self, entry: _Plant) -> Plant | PlantFamily:
         """A plant from its file, or a family by name."""
         if (entry.file is None) == (entry.family is None):
-            raise InputError(f"plant {entry.name!r}", "either file or family", "both" if entry.file else "neither")
+            raise InputError(
+                f"plant {entry.name!r}", "either file or family", "both" if entry.file else "neither"
+            )
         if entry.family is not None:
             rule = _known(f"plant {entry.name!r}: family", entry.family, FAMILIES)
             return PlantFamily(entry.family, rule, entry.runs_per_plant)
@@ -207,8 +209,7 @@ class _Reader:
         for name in entry.attacks:
             described = _known(f"scenario of {entry.plant!r}: attacks", name, self.attacks)
             attack = self.attack(described, entry)
-            label = entry.label or _label(described, entry)
-            attack_name = f"{name}, {label}" if label and attack is not None else name
+            attack_name = ", ".join([name, *_label(described, entry, attack)])
             found.append(
                 Scenario(
                     f"{entry.plant}: {attack_name}",
@@ -280,24 +281,27 @@ def _targets(where: str, on: _On) -> Targets | Names:
         raise InputError(f"{where}: on", expected, str(on.model_dump(exclude_none=True)))
     (name, count), among = given[0], None if on.among is None else tuple(on.among)
     if name == "switching":
-        return Switching(count, int(on.every or 1), among)
-    return Drawn(count, among) if name == "drawn" else Redrawn(count, among)
+        return Switching(count, int(on.every or 1), among=among)
+    return Drawn(count, among=among) if name == "drawn" else Redrawn(count, among=among)
 
 
-def _label(attack: _Attack, scenario: _Scenario) -> str:
+def _label(described: _Attack, scenario: _Scenario, attack: Attack | None) -> list[str]:
     """Who is attacked and how it starts, in a few words."""
-    on = scenario.on if scenario.on is not None else attack.on
-    words = []
-    if isinstance(on, _Choice):
-        count = next(c for c in (on.drawn, on.redrawn, on.switching, 0) if c is not None)
-        size = f"{count[0]}-{count[1]}" if isinstance(count, tuple) else str(count)
-        changes = "fixed" if on.drawn is not None else "changing" if on.redrawn is not None else "switching"
-        words.append(f"{size} {changes}")
-    elif on is not None:
-        words.append("on " + (on if isinstance(on, str) else ", ".join(on)))
-    if scenario.prior_variance is not None:
-        words.append("cold start")
-    return ", ".join(words)
+    if scenario.label is not None:
+        return [scenario.label]
+    cold = ["cold start"] if scenario.prior_variance is not None else []
+    on = scenario.on if scenario.on is not None else described.on
+    if attack is None or on is None:
+        return cold
+    return [_who(on), *cold]
+
+
+def _who(on: _On) -> str:
+    if not isinstance(on, _Choice):
+        return "on " + (on if isinstance(on, str) else ", ".join(on))
+    counts = {"fixed": on.drawn, "changing": on.redrawn, "switching": on.switching}
+    rule, count = next((rule, count) for rule, count in counts.items() if count is not None)
+    return f"{'-'.join(map(str, count)) if isinstance(count, tuple) else count} {rule}"
 
 
 def _prior(plant: Plant | PlantFamily, variance: float | None) -> Belief | None:
@@ -319,5 +323,3 @@ def _known(argument: str, name: str, table: Mapping[str, Any]) -> Any:
     if name not in table:
         raise InputError(argument, f"one of {', '.join(table)}", repr(name))
     return table[name]
-
-
