@@ -102,7 +102,7 @@ class ChiSquareFilter(Estimator):
 
 def _checked_rule(scope: str, on_alarm: str | None) -> _detectors.Rule:
     """What to do about an alarm, if the scope knows it."""
-    if scope not in ON_ALARM:
+    if scope not in list(ON_ALARM):
         raise InputError("scope", '"sensor" or "central"', repr(scope))
     known = ON_ALARM[scope]
     if on_alarm is None:
