@@ -228,9 +228,9 @@ def test_a_state_of_another_rule_or_threshold_is_refused() -> None:
                     estimator.resume(blob)
 
 
-#: The measured rate as a multiple of the stated one, before sampling noise. A sensor's own filter that listens
-#: to everything meets its rate. The gate and the central test leave out honest tails, which P knows nothing of,
-#: so that a few per cent more follow. With "hold" the testing filter itself drifts: alarms come in pairs.
+#: The measured rate as a multiple of the stated one, before sampling noise. A sensor's own filter that hears
+#: all it sends meets its rate. The gate and the central test leave out honest tails, unknown to P: a few per
+#: cent more follow. With "hold" the testing filter itself drifts: alarms come in pairs.
 BANDS = {
     "drop": (0.97, 1.03),
     "gate": (0.97, 1.1),
