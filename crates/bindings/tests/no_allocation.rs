@@ -4,6 +4,8 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+use securestate_kernels::detectors::local::LocalFilter;
+use securestate_kernels::detectors::{Detector, Rule};
 use securestate_kernels::kalman::Kalman;
 use securestate_kernels::kalman::model::{Matrices, Model};
 use securestate_kernels::projection::{Blocks, Projection};
@@ -69,8 +71,8 @@ fn identity(n: usize) -> Vec<f64> {
     (0..n * n).map(|i| if i % (n + 1) == 0 { 1.0 } else { 0.0 }).collect()
 }
 
-/// n states in a chain, every channel sees two of them, neighbouring channels are correlated.
-fn kalman(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
+/// n states in a chain, every channel sees two of them, neighbouring channels are correlated, two channels per sensor.
+fn model(states: usize, channels: usize) -> Model {
     let (n, m) = (states, channels);
     let (mut a, mut c, mut r) = (identity(n), vec![0.0; m * n], identity(m));
     a.iter_mut().for_each(|value| *value *= 0.9);
@@ -89,14 +91,21 @@ fn kalman(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
         d: vec![0.2; m],
         q: identity(n),
         r,
-        channel_sensor: (0..m).collect(),
-        sensors: m,
+        channel_sensor: (0..m).map(|i| i / 2).collect(),
+        sensors: m.div_ceil(2),
         states,
     });
-    let units =
-        Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] };
-    let estimator = Kalman::new(model.unwrap(), Some(&identity(n))).unwrap();
-    Design::boxed(estimator, units).unwrap()
+    model.unwrap()
+}
+
+/// The operating point of `m` channels and one input in normalised units.
+fn plain_units(m: usize) -> Units {
+    Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] }
+}
+
+fn kalman(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
+    let estimator = Kalman::new(model(states, channels), Some(&identity(states))).unwrap();
+    Design::boxed(estimator, plain_units(channels)).unwrap()
 }
 
 #[test]
@@ -111,6 +120,45 @@ fn a_kalman_step_allocates_nothing() {
         assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m})");
         let prior = identity(n);
         assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m})");
+    }
+}
+
+/// A detector whose local filters see every state.
+fn detector(states: usize, channels: usize, rule: Rule) -> std::sync::Arc<dyn Kernel> {
+    let filter = Kalman::new(model(states, channels), Some(&identity(states))).unwrap();
+    let mut quantiles = vec![6.0; channels + 1];
+    quantiles[0] = f64::INFINITY;
+    Design::boxed(Detector::new(filter, rule, quantiles).unwrap(), plain_units(channels)).unwrap()
+}
+
+fn local_filters(n: usize, m: usize) -> Vec<LocalFilter> {
+    let filter = |channels: usize| LocalFilter {
+        t: identity(n),
+        a: identity(n).iter().map(|one| 0.9 * one).collect(),
+        b: vec![0.1; n],
+        c: vec![0.5; channels * n],
+        d: vec![0.2; channels],
+        gain: vec![0.1; n * channels],
+        innovation_cov: identity(channels),
+    };
+    (0..m.div_ceil(2)).map(|sensor| filter((m - 2 * sensor).min(2))).collect()
+}
+
+#[test]
+fn a_detector_step_allocates_nothing_alarmed_or_not() {
+    for (n, m) in [(1, 1), (4, 5), (12, 30)] {
+        for rule in [
+            Rule::Gate,
+            Rule::Local { filters: local_filters(n, m), hold: false },
+            Rule::Local { filters: local_filters(n, m), hold: true },
+            Rule::Central { drop_worst: false },
+            Rule::Central { drop_worst: true },
+        ] {
+            let kernel = detector(n, m, rule.clone());
+            assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}) {rule:?}");
+            let prior = identity(n);
+            assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m}) {rule:?}");
+        }
     }
 }
 
@@ -167,9 +215,7 @@ fn sparse_fusion(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {
         },
         projection,
     );
-    let units =
-        Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] };
-    Design::boxed(estimator.unwrap(), units).unwrap()
+    Design::boxed(estimator.unwrap(), plain_units(m)).unwrap()
 }
 
 #[test]

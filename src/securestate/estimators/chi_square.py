@@ -64,7 +64,8 @@ class ChiSquareFilter(Estimator):
         Missing channels: the test takes those that arrived, with as many degrees of freedom. A sensor's own
         filter takes in complete readings only and predicts otherwise; its test is then a little too strict
         until the filter has settled again.
-        "hold" starts from a state that its sensors have to agree with: begin with a prior near the truth.
+        "hold" raises up to twice as many alarms as stated, and goes on if the prior is far from the truth: a
+        filter that did not hear a reading is worse at predicting the next one.
         A protected sensor is tested like any other: the classical detectors do not know who cannot lie.
         NO_MEASUREMENT: every sensor was left out or sent nothing. ILL_CONDITIONED: as `KalmanFilter`.
 
@@ -102,7 +103,7 @@ class ChiSquareFilter(Estimator):
 
 def _checked_rule(scope: str, on_alarm: str | None) -> _detectors.Rule:
     """What to do about an alarm, if the scope knows it."""
-    if scope not in ON_ALARM:
+    if scope not in list(ON_ALARM):
         raise InputError("scope", '"sensor" or "central"', repr(scope))
     known = ON_ALARM[scope]
     if on_alarm is None:

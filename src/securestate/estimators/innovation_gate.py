@@ -38,14 +38,16 @@ class InnovationGate(Estimator):
         says who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others.
         `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in
         `KalmanFilter`; "alarms", how many sensors were left out; "excess", the largest squared distance over
-        its threshold. The rate is exact for the first alarm. Later ones come a little more often: leaving out
-        an honest reading because it is far off cuts the tail of what enters x, which P does not know.
-        Like all tests on innovations it is blind to a lie that grows slowly enough to take the prediction
-        along. A protected sensor is gated like any other: the classical detectors do not know who cannot lie.
+        its threshold.
+        The rate holds up to the first alarm. After that alarms come a few per cent more often: leaving out an
+        honest reading because it is far off cuts the tail of what enters x, which P does not know.
+        A lie below the threshold passes for ever; a slow one takes the prediction along and stays below for
+        long. Honest readings far from a prior that claims to know better are left out.
+        A protected sensor is gated like any other: the classical detectors do not know who cannot lie.
         NO_MEASUREMENT: every sensor was left out or sent nothing. ILL_CONDITIONED: as `KalmanFilter`.
 
     References:
-        Bar-Shalom, Li, Kirubarajan 2001, section 5.4 (docs/bibliography.md: barshalom2001).
+        Bar-Shalom, Li, Kirubarajan 2001 (docs/bibliography.md: barshalom2001).
 
     Examples:
         >>> from securestate import InnovationGate, Plant, Sensor
