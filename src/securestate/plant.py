@@ -221,6 +221,24 @@ class Plant(Value):
         """Turn inputs (..., p) from file units into the units of B and D."""
         return (u - self.input_offset) / self.input_scale
 
+    def reading(self, x: Array, u: Array, first: int = 0) -> Array:
+        """Return what sensors without noise would send, C x + D u in file units, (..., T, m).
+
+        Args:
+            x: states of successive samples, (..., T, n); `first` is the number of the first one, which counts
+                where C varies in time.
+            u: inputs, (..., T, p), file units.
+        """
+        C = self.C[first : first + x.shape[-2]] if self.C.ndim == 3 else self.C
+        seen: Array = np.einsum("...ij,...j->...i", C, x) + self.normalise_input(u) @ self.D.T
+        return self.denormalise(seen)
+
+    def successor(self, x: Array, u: Array, first: int = 0) -> Array:
+        """Return where states move without noise, A x + B u, (..., T, n); arguments as for `reading`."""
+        A = self.A[first : first + x.shape[-2]] if self.A.ndim == 3 else self.A
+        moved: Array = np.einsum("...ij,...j->...i", A, x) + self.normalise_input(u) @ self.B.T
+        return moved
+
     def select(self, sensors: Iterable[int]) -> "Plant":
         """Return the same plant with only these sensors (indices from 0), in the given order."""
         kept = list(sensors)

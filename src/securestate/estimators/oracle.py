@@ -80,11 +80,11 @@ class OracleFilter:
         lies = liars[..., self.plant.channel_sensor]
         run = self.kalman.run(np.where(lies, np.nan, y), u, prior, covariance=covariance)
         start = np.zeros(self.plant.n) if prior is None else prior.x
-        return _told(self.plant, run, y, u, _predicted(self.plant, run.x, u, start), liars)
+        return _told(run, y, u, _predicted(self.plant, run.x, u, start), liars)
 
-    def start(self, prior: Belief | None = None) -> LiveOracle:
-        """A live filter before its first measurement; `prior` None means mean zero and steady state."""
-        return LiveOracle(self, self.kalman.start(prior), prior)
+    def start(self, prior: Belief | None = None, *, runs: int | None = None) -> LiveOracle:
+        """A live filter before its first measurement, or filters for several runs; as in `Estimator.start`."""
+        return LiveOracle(self, self.kalman.start(prior, runs=runs), prior)
 
 
 @final
@@ -114,17 +114,25 @@ class LiveOracle:
         self._predicted = np.zeros(oracle.plant.n) if prior is None else prior.x
         self._k = 0
 
+    def run(
+        self, y: ArrayLike, u: ArrayLike | None = None, *, attacked: ArrayLike, covariance: bool = True
+    ) -> Run:
+        """Continue over a block of samples; arguments, result and errors as for `OracleFilter.run`."""
+        plant, first = self._oracle.plant, self._k
+        y = check_measurements(y, plant, ("runs", "T") if np.ndim(y) == 3 else ("T",))
+        u = check_inputs(u, plant, y.shape)
+        liars = _attacked(attacked, (*y.shape[:-1], plant.n_sensors))
+        heard = np.where(liars[..., plant.channel_sensor], np.nan, y)
+        run = self._live.run(heard, u if plant.n_inputs else None, covariance=covariance)
+        told = _told(run, y, u, _predicted(plant, run.x, u, self._predicted, first), liars, first)
+        self._predicted = plant.successor(run.x[..., -1:, :], u[..., -1:, :], first + run.steps - 1)[..., 0, :]
+        self._k += run.steps
+        return told
+
     def step(self, y: ArrayLike, u: ArrayLike | None = None, *, attacked: ArrayLike) -> OracleEstimate:
         """Advance by one measurement y (m,) and input u (p,); `attacked` (N,) says who is attacked."""
-        plant = self._oracle.plant
-        y = check_measurements(np.asarray(y)[np.newaxis], plant, ("T",))
-        u = check_inputs(None if u is None else np.asarray(u)[np.newaxis], plant, y.shape)
-        liars = _attacked(attacked, (1, plant.n_sensors))
-        run = self._live.run(np.where(liars[:, plant.channel_sensor], np.nan, y), u)
-        run = _told(plant, run, y, u, self._predicted[np.newaxis], liars, first=self._k)
-        self._predicted = _moved(plant, run.x, u, first=self._k)[0]
-        self._k += 1
-        return _first(run)
+        one = None if u is None else np.asarray(u)[np.newaxis]
+        return _first(self.run(np.asarray(y)[np.newaxis], one, attacked=attacked))
 
 
 def _first(run: Run) -> OracleEstimate:
@@ -154,40 +162,26 @@ def _attacked(value: ArrayLike, shape: tuple[int, ...]) -> Bool:
     return np.broadcast_to(given, shape)
 
 
-def _told(
-    plant: Plant, run: Run, y: Float, u: Float, predicted: Float, liars: Bool, *, first: int = 0
-) -> Run:
+def _told(run: Run, y: Float, u: Float, predicted: Float, liars: Bool, first: int = 0) -> Run:
     """The run of the Kalman filter with what it was not told about the attacked sensors."""
+    plant = run.plant
     starts = np.searchsorted(plant.channel_sensor, np.arange(plant.n_sensors))
     sent = np.logical_or.reduceat(~np.isnan(y), starts, axis=-1)
     lies = liars[..., plant.channel_sensor]
-    surprise, injected = (_residual(plant, x, y, u, first) for x in (predicted, run.x))
     return replace(
         run,
         estimator="OracleFilter",
         trust=np.where(sent, np.where(liars, 0.0, 1.0), np.nan),
         suspected=liars & sent,
-        attack=np.where(lies | np.isnan(y), injected, 0.0),
-        innovation=np.where(lies, surprise, run.innovation),
+        attack=np.where(lies | np.isnan(y), y - plant.reading(run.x, u, first), 0.0),
+        innovation=np.where(lies, y - plant.reading(predicted, u, first), run.innovation),
     )
 
 
-def _residual(plant: Plant, x: Float, y: Float, u: Float, first: int) -> Float:
-    """What is left of y when C x + D u is taken away, in sensor units, NaN where y is."""
-    C = plant.C[first : first + y.shape[-2]] if plant.C.ndim == 3 else plant.C
-    expected = np.einsum("...ij,...j->...i", C, x) + plant.normalise_input(u) @ plant.D.T
-    return y - plant.denormalise(expected)
-
-
-def _moved(plant: Plant, x: Float, u: Float, first: int = 0) -> Float:
-    """The prediction A x + B u from every sample."""
-    A = plant.A[first : first + x.shape[-2]] if plant.A.ndim == 3 else plant.A
-    moved: Float = np.einsum("...ij,...j->...i", A, x) + plant.normalise_input(u) @ plant.B.T
-    return moved
-
-
-def _predicted(plant: Plant, x: Float, u: Float, start: Float) -> Float:
-    """x[k|k-1] of every sample from x[k|k] and the prior mean."""
-    moved = _moved(plant, x, u)
-    before = np.broadcast_to(start, (*x.shape[:-2], 1, plant.n))
-    return np.concatenate([before, moved[..., :-1, :]], axis=-2)
+def _predicted(plant: Plant, x: Float, u: Float, start: Float, first: int = 0) -> Float:
+    """x[k|k-1] of every sample from x[k|k] and the belief about the first one."""
+    before = np.broadcast_to(start, (*x.shape[:-2], plant.n))[..., np.newaxis, :]
+    if x.shape[-2] == 1:
+        return before
+    moved = plant.successor(x[..., :-1, :], u[..., :-1, :], first)
+    return np.concatenate([before, moved], axis=-2)

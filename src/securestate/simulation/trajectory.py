@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from securestate.attacks.base import Reaction
 from securestate.errors import InputError
 from securestate.estimators import Estimator, OracleFilter, Run
+from securestate.estimators.oracle import LiveOracle
 from securestate.plant import Belief, Plant
 
 Float = NDArray[np.float64]
@@ -81,24 +82,20 @@ class Trajectory:
 
     def _react(self, estimator: Estimator | OracleFilter, *, covariance: bool) -> tuple[Run, Trajectory]:
         """Sample by sample: what the defender expects, what the adversaries make of it, what the defender does."""
-        plant = self.plant
+        plant, several = self.plant, self.plant.n_inputs > 0
         live = estimator.start(self.prior, runs=self.runs)
-        mean = np.zeros(plant.n) if self.prior is None else self.prior.x
-        x = np.broadcast_to(mean, (self.runs, plant.n))
+        x = np.broadcast_to(0.0 if self.prior is None else self.prior.x, (self.runs, 1, plant.n))
         a, blocks = self.a.copy(), []
-        inputs = plant.normalise_input(self.u)
         for k in range(self.steps):
-            expected = plant.denormalise(x @ at(plant.C, k).T + inputs[:, k] @ plant.D.T)
+            now = slice(k, k + 1)
+            expected = plant.reading(x, self.u[:, now], k)[:, 0]
             for reaction in self.reactions:
                 a[:, k] += reaction(k, expected)
-            y = (self.clean[:, k] + a[:, k])[:, np.newaxis]
-            u = self.u[:, k : k + 1] if plant.n_inputs else None
-            told = {"attacked": self.attacked[:, k : k + 1]} if isinstance(estimator, OracleFilter) else {}
-            blocks.append(live.run(y, u, covariance=covariance, **told))
-            x = blocks[-1].x[:, 0] @ at(plant.A, k).T + inputs[:, k] @ plant.B.T
+            y, u = self.clean[:, now] + a[:, now], self.u[:, now] if several else None
+            if isinstance(live, LiveOracle):
+                run = live.run(y, u, attacked=self.attacked[:, now], covariance=covariance)
+            else:
+                run = live.run(y, u, covariance=covariance)
+            blocks.append(run)
+            x = plant.successor(run.x, self.u[:, now], k)
         return Run.concat(blocks), replace(self, y=self.clean + a, a=a, reactions=())
-
-
-def at(matrices: Float, k: int) -> Float:
-    """Matrix of sample k, of a plant that may vary in time."""
-    return matrices[k] if matrices.ndim == 3 else matrices
