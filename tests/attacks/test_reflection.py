@@ -53,9 +53,8 @@ def test_on_a_fixed_set_the_contaminated_lie_grows_and_stays_finite() -> None:
 def test_an_unstable_plant_keeps_the_contaminated_lie_finite() -> None:
     plant = Plant([[2.0]], [[1.0]], [Sensor("a", C=[1.0], R=1.0)])
     given = scene(plant, steps=3)
-    long = Scene(
-        plant, *(np.repeat(each, 1000, axis=1) for each in (given.x, given.u, given.v, given.y)), given.rngs
-    )
+    x, u, v, y = (np.repeat(each, 1000, axis=1) for each in (given.x, given.u, given.v, given.y))
+    long = Scene(plant, x, u, v, y, given.rngs)
     assert np.all(np.isfinite(injected(Reflection(on="a"), long)))
 
 

@@ -71,9 +71,8 @@ def test_a_sinusoid_of_period_2_and_phase_90_alternates_exactly() -> None:
 def test_regular_pulses() -> None:
     np.testing.assert_array_equal(on_x(Pulse(5.0, on="x", start=4)), [0, 0, 0, 0, 5, 0, 0, 0, 0, 0])
     np.testing.assert_array_equal(on_x(Pulse(5.0, 3, on="x", start=2)), [0, 0, 5, 0, 0, 5, 0, 0, 5, 0])
-    np.testing.assert_array_equal(
-        on_x(Pulse(5.0, 4, width=2, on="x", start=3)), [0, 0, 0, 5, 5, 0, 0, 5, 5, 0]
-    )
+    wide = on_x(Pulse(5.0, 4, width=2, on="x", start=3))
+    np.testing.assert_array_equal(wide, [0, 0, 0, 5, 5, 0, 0, 5, 5, 0])
 
 
 def test_random_pulses_come_as_often_as_asked_with_either_sign_on_each_channel() -> None:
@@ -109,7 +108,7 @@ def test_random_noise_has_the_covariance_asked_for() -> None:
         [4.0, 2.0, 0.0],
         [2.0, 1.0, 0.0],
         [0.0, 0.0, 9.0],
-    ]  # the first is singular
+    ]
     noise = RandomNoise(covariance=S.tolist(), on=["x", "gps"])
     a = injected(noise, scene(vehicle(), steps=20000, runs=2)).reshape(-1, 5)
     np.testing.assert_allclose(a.T @ a / len(a), S, atol=0.2)

@@ -34,9 +34,8 @@ def test_never_more_than_asked_for_and_never_a_protected_one(data: st.DataObject
         "redrawn": Redrawn((low, high)),
         "switching": Switching((low, high), every=data.draw(st.integers(1, 40))),
     }
-    chosen = rules[kind].choose(
-        plant_of(protected), steps, np.random.default_rng(data.draw(st.integers(0, 99)))
-    )
+    numbers = np.random.default_rng(data.draw(st.integers(0, 99)))
+    chosen = rules[kind].choose(plant_of(protected), steps, numbers)
     assert chosen.shape == (steps, len(protected))
     assert np.all(chosen.sum(axis=1) <= high)
     assert np.all(chosen.sum(axis=1) >= low)
