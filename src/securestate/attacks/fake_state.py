@@ -79,7 +79,8 @@ class FakeState(PlantAttack):
         if self.along == "prior":
             variances, directions = np.linalg.eigh(steady_state(view.plant).P_prior)
             q: Float = directions[:, -1] * np.sign(directions[np.argmax(np.abs(directions[:, -1])), -1])
-            return q * (float(shift) * np.sqrt(variances[-1]))
+            largest: Float = shift * np.sqrt(variances[-1]) * q
+            return largest
         if shift.shape not in ((), (n,)):
             raise InputError("shift", f"one number or {n}, one per state", f"{shift.size}")
         return np.broadcast_to(shift, (n,))

@@ -63,7 +63,7 @@ class Reflection(PlantAttack):
             channels = np.array([np.arange(plant.m)[plant.channels_of(i)] for i in sensors])
             lies = view.attacked[..., sensors] & (self.about == "local")
             limit = LARGEST * np.sqrt(np.diag(plant.R))[channels]
-            own = y[..., channels], u, lies, limit[:, np.newaxis]
+            own = y[..., channels], u, lies, limit[..., np.newaxis]
             innovation[:, : view.stop, channels] = _innovations(filters, *own, view.stop)
         return -2.0 * plant.scale * innovation
 
@@ -110,29 +110,27 @@ def _innovations(
     limit: Float,
     steps: int,
 ) -> Float:
-    """Y - C z - D u of G filters with c channels each, (runs, steps, G, c), normalised units.
+    """Innovations y - C z - D u of G filters with c channels each, (runs, steps, G, c), normalised units.
 
         z[k+1] = A (z[k] + K e[k]) + B u[k],   e of the opposite sign where the sensor sends the mirror image
 
     Args:
-        y: clean readings, (runs, T, G, c). u: inputs, (runs, T, p). lies: (runs, T, G).
-        limit: of the innovations, (G, 1, c).
+        y: clean readings, (runs, T, G, c). u: inputs, (runs, T, p). lies: (runs, T, G). limit: (G, c, 1).
     """
-    A, B, C, D, K = (_transposed(filters, name) for name in ("A", "B", "C", "D", "gain"))
-    y, sign = np.nan_to_num(np.moveaxis(y, (0, 2), (2, 1))), np.where(lies, -1.0, 1.0).transpose(1, 2, 0)
-    e = np.empty((steps, *y.shape[1:]))
-    z = np.zeros((len(filters), y.shape[2], A.shape[1]))
+    A, B, C, D, K = (np.stack([getattr(f, name) for f in filters]) for name in ("A", "B", "C", "D", "gain"))
+    y, ut = np.nan_to_num(np.ascontiguousarray(y.transpose(1, 2, 3, 0))), u.transpose(1, 2, 0)
+    sign = np.where(lies, -1.0, 1.0).transpose(1, 2, 0)[:, :, np.newaxis]
+    e, z = np.empty((steps, *y.shape[1:])), np.zeros((len(filters), A.shape[1], y.shape[3]))
     for k in range(steps):
-        e[k] = y[k] - z @ C
-        if u.shape[2]:
-            e[k] -= u[:, k] @ D
-        np.clip(e[k], -limit, limit, out=e[k])
-        z = (z + (sign[k][..., np.newaxis] * e[k]) @ K) @ A
-        if u.shape[2]:
-            z += u[:, k] @ B
+        e[k] = np.clip(y[k] - _product(C, z) - _product(D, ut[k : k + 1]), -limit, limit)
+        z = _product(A, z + _product(K, sign[k] * e[k])) + _product(B, ut[k : k + 1])
         np.clip(z, -LARGEST_STATE, LARGEST_STATE, out=z)
-    return np.moveaxis(e, (2, 1), (0, 2))
+    return e.transpose(3, 0, 1, 2)
 
 
-def _transposed(filters: tuple[LocalFilter, ...], name: str) -> Float:
-    return np.stack([getattr(each, name).T for each in filters])
+def _product(M: Float, z: Float) -> Float:
+    """M z for (G, a, b) and (G, b, runs); column by column, so that a run has the same bits in any batch."""
+    total = np.zeros((len(M), M.shape[1], z.shape[2]))
+    for j in range(M.shape[2]):
+        total += M[:, :, j : j + 1] * z[:, j : j + 1]
+    return total

@@ -27,7 +27,7 @@ class Replay(SensorAttack):
         InputError: an argument is none of these.
 
     References:
-        Mo and Sinopoli 2009.
+        Mo, Sinopoli 2009.
 
     Examples:
         >>> Replay(20, on="level", start=10)

@@ -176,7 +176,7 @@ def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
     rows, columns = _equilibrium(np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)]))
     scaled = rows[:, None] * (stacked if value.imag else stacked.real) * columns
     _, sizes, Vh = np.linalg.svd(scaled, full_matrices=False)
-    sizes = sizes / max(sizes[0], np.finfo(np.float64).tiny)
+    sizes = sizes / max(sizes[0], 1.0)  # 1 is the size of a row; all can be smaller if A is value I
     return float(sizes[-1]), (Vh[sizes <= RANK].conj() * columns).astype(np.complex128)
 
 

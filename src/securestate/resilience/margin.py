@@ -101,8 +101,8 @@ def _honest_rows(plant: Plant, attacked: Iterable[int]) -> NDArray[np.intp]:
 def _least_seen(plant: Plant, X: Array, honest: NDArray[np.intp], space: list[Mode]) -> Margin | None:
     """The direction in one eigenspace that the honest rows see least; None if no row sees any of it."""
     V = np.stack([mode.direction for mode in space], axis=1)
-    V = V if space[0].eigenvalue.imag else V.real
-    U, sizes, Wh = np.linalg.svd(X @ V, full_matrices=False)
+    shown = X @ (V if space[0].eigenvalue.imag else V.real)
+    U, sizes, Wh = np.linalg.svd(shown, full_matrices=False)
     seen = sizes > RANK * max(np.linalg.norm(X, 2), np.finfo(np.float64).tiny)
     if not seen.any():
         return None
