@@ -54,7 +54,7 @@ class InnovationGate(Estimator):
         >>> sensors = [Sensor(name, C=[1.0], R=1.0) for name in ("a", "b", "c")]
         >>> run = InnovationGate(Plant([[0.9]], [[1.0]], sensors)).run([[0.1, -0.2, 50.0]])
         >>> print(run.suspected[0], run.attack[0].round(1))
-        [False False  True] [ 0. 0. 50. ]
+        [False False  True] [ 0.  0. 50.]
     """
 
     steady: SteadyState | None
