@@ -4,6 +4,7 @@ Every check takes the argument's name and the exception to raise, so that one ru
 """
 
 from collections.abc import Iterable, Sequence
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,6 +143,13 @@ def covariance(argument: str, value: object, size: int, what: str, error: Error)
     if numbers.shape != (size, size):
         raise error(argument, f"shape (), ({size},) or ({size}, {size}), {what}", f"shape {numbers.shape}")
     return positive_definite(argument, numbers, error)
+
+
+def whole_number(argument: str, value: object, least: int, error: Error) -> int:
+    """Return a whole number >= least; True and False are refused."""
+    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
+        raise error(argument, f"a whole number >= {least}", describe(value))
+    return int(value)
 
 
 def label(argument: str, value: object, error: Error, *, empty: bool = False) -> str:

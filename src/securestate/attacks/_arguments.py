@@ -1,7 +1,6 @@
 """Checks of what an adversary is made with. Each returns clean, hashable data or raises `InputError`."""
 
 from collections.abc import Sequence
-from numbers import Integral
 from typing import Any, get_args
 
 import numpy as np
@@ -65,9 +64,7 @@ def probability(argument: str, value: object) -> float:
 
 def whole(argument: str, value: object, least: int) -> int:
     """A whole number >= least."""
-    if isinstance(value, bool) or not isinstance(value, Integral) or value < least:
-        raise InputError(argument, f"a whole number >= {least}", repr(value))
-    return int(value)
+    return check.whole_number(argument, value, least, InputError)
 
 
 def choice(argument: str, value: object, allowed: Any) -> str:

@@ -46,7 +46,7 @@ def progress(samples: int, *, quiet: bool) -> Iterator[Callable[[int], None]]:
 
 @contextmanager
 def steps(verb: str, things: str, *, quiet: bool) -> Iterator[Callable[[int, int], None]]:
-    """Show a bar on stderr if that is a terminal; the function given takes how many are done, and of how many."""
+    """Show a bar on stderr if that is a terminal; the function given takes how many are done, and of all."""
     console = Console(stderr=True)
     bar = Progress(
         TextColumn(verb),

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
+from securestate._checks import whole_number
 from securestate.errors import InputError, SecurestateWarning, ShapeError
 from securestate.estimators.run import Run
 from securestate.plant import Belief, Plant
@@ -76,10 +77,10 @@ class Filter(_kernels.Filter):
         """Continue this filter over a block of samples.
 
         Args:
-            y: measurements, shape (T, m), or (runs, T, m) if started for several runs, sensor units; NaN marks
-                a missing channel.
-            u: inputs, shape (T, p) or, for several runs, also (runs, T, p), file units; needed if and only if
-                the plant has inputs.
+            y: measurements, shape (T, m), or (runs, T, m) if started for several runs, sensor units; NaN
+                marks a missing channel.
+            u: inputs, shape (T, p) or, for several runs, also (runs, T, p), file units; needed if and only
+                if the plant has inputs.
             covariance: False leaves `Run.P` None, which saves n² numbers per sample.
         Returns:
             Run; its arrays have the leading axes of `y`.
@@ -158,8 +159,8 @@ class Estimator:
         With `runs` it holds that many independent filters, which advance in parallel by `Filter.run`.
         """
         mean, cov = self._prior(prior)
-        if runs is not None and (isinstance(runs, bool) or not isinstance(runs, int) or runs < 1):
-            raise InputError("runs", "a whole number >= 1, or None", repr(runs))
+        if runs is not None:
+            whole_number("runs", runs, 1, InputError)
         means = np.ascontiguousarray(np.broadcast_to(mean, (runs or 1, self.plant.n)))
         return Filter(self, means, cov, None, runs)
 

@@ -83,7 +83,7 @@ class OracleFilter:
         return _told(run, y, u, _predicted(self.plant, run.x, u, start), liars)
 
     def start(self, prior: Belief | None = None, *, runs: int | None = None) -> LiveOracle:
-        """A live filter before its first measurement, or filters for several runs; as in `Estimator.start`."""
+        """A live filter before its first measurement, or one per run; as in `Estimator.start`."""
         return LiveOracle(self, self.kalman.start(prior, runs=runs), prior)
 
 
@@ -125,7 +125,9 @@ class LiveOracle:
         heard = np.where(liars[..., plant.channel_sensor], np.nan, y)
         run = self._live.run(heard, u if plant.n_inputs else None, covariance=covariance)
         told = _told(run, y, u, _predicted(plant, run.x, u, self._predicted, first), liars, first)
-        self._predicted = plant.successor(run.x[..., -1:, :], u[..., -1:, :], first + run.steps - 1)[..., 0, :]
+        self._predicted = plant.successor(run.x[..., -1:, :], u[..., -1:, :], first + run.steps - 1)[
+            ..., 0, :
+        ]
         self._k += run.steps
         return told
 

@@ -1,4 +1,4 @@
-"""Spread the work of a comparison over threads or a cluster, keep what is done, and go on where it stopped."""
+"""Spread the work of a comparison over threads or a cluster, keep what is done, go on where it stopped."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExec
 from contextlib import contextmanager
 from typing import Any
 
+from securestate._checks import whole_number
 from securestate.errors import InputError
 from securestate.simulation._store import Kept, Store
 from securestate.simulation._work import GROUP, Done, Task, groups_of, work
@@ -54,7 +55,7 @@ def finish(
     tasks = deque(_missing(scenarios, recipes, store))
     total = len(recipes) * sum(len(groups_of(scenario)) for scenario in scenarios)
     done = total - sum(len(task.recipes) * len(task.groups) for task in tasks)
-    tell = progress or (lambda done, total: None)
+    tell = progress or (lambda *_: None)
     tell(done, total)
     if not tasks:
         return
@@ -103,8 +104,7 @@ def _kept(scenario: Scenario, result: Done) -> Kept:
 def _executor(workers: int | None, dask: str | None) -> Iterator[tuple[Executor, int]]:
     """Who does the work, and how many can do it at once."""
     width = os.cpu_count() or 1 if workers is None else workers
-    if isinstance(width, bool) or not isinstance(width, int) or width < 1:
-        raise InputError("workers", "a whole number >= 1, or None", repr(workers))
+    whole_number("workers", width, 1, InputError)
     if dask is not None:
         with _cluster(dask, width) as found:
             yield found
@@ -124,19 +124,24 @@ def _cluster(dask: str, width: int) -> Iterator[tuple[Executor, int]]:
         import distributed
     except ImportError:
         raise InputError("dask", "the package dask[distributed]", "an installation without it") from None
+    connect: Callable[..., Any] = distributed.Client
     with library.config.set({"distributed.scheduler.allowed-failures": TRIES}):
-        client: Any
-        if dask == "local":
-            client = distributed.Client(
-                n_workers=width, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs=50
-            )
-        else:
-            try:
-                client = distributed.Client(dask, timeout="10s")
-            except (OSError, ValueError) as error:
-                raise InputError(
-                    "dask", "the address of a dask scheduler, or 'local'", f"{dask!r} ({error})"
-                ) from None
+        try:
+            client = connect(**_processes(width)) if dask == "local" else connect(dask, timeout="10s")
+        except (OSError, ValueError) as error:
+            expected = "the address of a dask scheduler, or 'local'"
+            raise InputError("dask", expected, f"{dask!r} ({error})") from None
         with client:
             threads = sum(client.nthreads().values())
             yield client.get_executor(pure=False, retries=TRIES), max(threads, 1)
+
+
+def _processes(width: int) -> dict[str, object]:
+    """A cluster of this many single-threaded processes on this machine."""
+    return {
+        "n_workers": width,
+        "threads_per_worker": 1,
+        "processes": True,
+        "dashboard_address": None,
+        "silence_logs": 50,
+    }

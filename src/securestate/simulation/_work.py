@@ -74,7 +74,7 @@ def work(task: Task, *, alone: bool, budget: float = SLICE) -> tuple[list[Done],
         raise RuntimeError("this worker runs another version of securestate than the one that asks")
     if alone:
         os.environ.setdefault("RAYON_NUM_THREADS", "1")
-    begin, done = time.perf_counter(), []
+    begin, done = time.perf_counter(), list[Done]()
     with threadpool_limits(limits=1, user_api="blas"):  # more threads could change the last bits
         for position, group in enumerate(task.groups):
             done += _group(task, group)

@@ -18,6 +18,7 @@ from securestate.simulation.families import PlantFamily
 from securestate.simulation.metrics import Scores
 from securestate.simulation.scenario import Recipe, Scenario
 
+AnyPlant = Plant | PlantFamily
 Design = Callable[[Plant], Estimator | OracleFilter]
 Estimators = Mapping[str, str | Design] | Sequence[str | Design]
 Attacks = Mapping[str, Attack | None] | Sequence[Attack | None] | Attack
@@ -27,7 +28,7 @@ ORACLE = "oracle"
 
 
 def compare(
-    plant: Plant | PlantFamily | Mapping[str, Plant | PlantFamily],
+    plant: AnyPlant | Mapping[str, AnyPlant],
     estimators: Estimators,
     attacks: Attacks,
     runs: int,
@@ -46,9 +47,9 @@ def compare(
     Args:
         plant: a plant, a family of plants, or several of them by name. One whose state grows gets a known
             input that holds it (`stabilised`).
-        estimators: names of methods ("kalman", "sparse", ...), or functions from a plant to an estimator, such
-            as `KalmanFilter` or `functools.partial(SparseFusion, gamma=2.0)`; as a list, or by the names that
-            the table shall show. The oracle, told who lies, is always there too.
+        estimators: names of methods ("kalman", "sparse", ...), or functions from a plant to an estimator,
+            such as `KalmanFilter` or `functools.partial(SparseFusion, gamma=2.0)`; as a list, or by the names
+            that the table shall show. The oracle, told who lies, is always there too.
         attacks: adversaries by name or as a list; None stands for nobody.
         runs, steps: runs per scenario and samples per run.
         seed: of all random numbers; the same seed gives the same numbers, whoever computes them.
@@ -66,7 +67,8 @@ def compare(
         >>> from securestate.attacks import Bias
         >>> from securestate.plant import Sensor
         >>> plant = Plant([[0.9]], [[1.0]], [Sensor(s, C=[1.0], R=1.0) for s in "abcde"])
-        >>> result = compare(plant, ["kalman", "sparse"], {"bias": Bias(20.0, on="b")}, runs=20, steps=50, seed=1)
+        >>> attacks = {"bias": Bias(20.0, on="b")}
+        >>> result = compare(plant, ["kalman", "sparse"], attacks, runs=20, steps=50, seed=1)
         >>> print(result.table.ratio.sel(scenario="bias").to_series().round(1).to_dict())
         {'oracle': 1.0, 'kalman': 47.7, 'sparse': 1.0}
     """
@@ -127,12 +129,10 @@ def _recipe(name: str | None, design: str | Design) -> Recipe:
         return Recipe(name or design, METHODS[design].design)
     if not callable(design):
         raise InputError("estimators", "names of methods, or functions from a plant", repr(design))
-    return Recipe(name or getattr(design, "__name__", repr(design)), design)
+    return Recipe(name or str(getattr(design, "__name__", repr(design))), design)
 
 
-def _plants(
-    plant: Plant | PlantFamily | Mapping[str, Plant | PlantFamily],
-) -> Mapping[str, Plant | PlantFamily]:
+def _plants(plant: AnyPlant | Mapping[str, AnyPlant]) -> Mapping[str, AnyPlant]:
     plants = plant if isinstance(plant, Mapping) else {getattr(plant, "name", "") or "plant": plant}
     for one in plants.values():
         if not isinstance(one, Plant | PlantFamily):
@@ -144,14 +144,16 @@ def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
     if isinstance(attacks, Mapping):
         return attacks
     several = [attacks] if isinstance(attacks, Attack) else list(attacks)
-    names = [
-        "none" if one is None else " + ".join(type(part).__name__ for part in one.parts) for one in several
-    ]
+    names = [_attack_name(one) for one in several]
     twice = {name for name in names if names.count(name) > 1}
     return {
         f"{name} {i}" if name in twice else name: one
         for i, (name, one) in enumerate(zip(names, several, strict=True), 1)
     }
+
+
+def _attack_name(attack: Attack | None) -> str:
+    return "none" if attack is None else " + ".join(type(part).__name__ for part in attack.parts)
 
 
 def _open(out: str | os.PathLike[str] | None, recipes: Sequence[Recipe]) -> Store:
@@ -169,13 +171,13 @@ def _open(out: str | os.PathLike[str] | None, recipes: Sequence[Recipe]) -> Stor
 
 def _cell(scenario: Scenario, kept: Sequence[Kept]) -> Cell:
     """Everything that is kept of one estimator in one scenario."""
-    wanted = [
-        one for one in kept if one.group in groups_of(scenario) and one.runs == runs_in(scenario, one.group)
-    ]
+    groups = groups_of(scenario)
+    wanted = [one for one in kept if one.group in groups and one.runs == runs_in(scenario, one.group)]
     refusal = next((one.refusal for one in wanted if one.refusal), "")
     timings = [one.microseconds for one in wanted if one.microseconds is not None]
+    fastest = min(timings, default=float("nan"))
+    if refusal:
+        return Cell(None, refusal, fastest)
     sensors, steps = scenario.sizes
-    scores = (
-        None if refusal else Scores.join([Scores.unpack(one.scores, len(sensors), steps) for one in wanted])
-    )
-    return Cell(scores, refusal, min(timings, default=float("nan")))
+    scores = [Scores.unpack(one.scores, len(sensors), steps) for one in wanted]
+    return Cell(Scores.join(scores), "", fastest)

@@ -33,10 +33,10 @@ MEANING: Mapping[str, str] = {
     "nis": "mean normalised innovation squared of honest channels; 1 if nobody lies and the model holds",
     "false_alarm_rate": "share of honest readings whose sensor was suspected",
     "detection_rate": "share of falsified readings whose sensor was suspected",
-    "delay": "median over runs of the samples from the first lie to the first liar suspected; inf: most never",
+    "delay": "median over runs of the samples from the first lie to a liar suspected; inf: most never",
     "found": "share of runs with a lie in which a liar was ever suspected",
     "exact_sets": "share of samples in which exactly the liars were suspected",
-    "injection_rms": "root mean square error of the estimated injections, in standard deviations of the noise",
+    "injection_rms": "root mean square error of the estimated injections, in noise standard deviations",
     "not_ok": "share of samples whose status is not OK",
     "runs": "number of runs",
 }
@@ -44,7 +44,7 @@ MEANING: Mapping[str, str] = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One estimator in one scenario: its scores, or why it could not run; microseconds per step of one filter."""
+    """One estimator in one scenario: scores, or why it could not run; microseconds per step of one filter."""
 
     scores: Scores | None
     refusal: str
@@ -58,8 +58,8 @@ class Comparison:
 
     Attributes:
         table: xarray Dataset over (scenario, estimator) with the variables of `MEANING`, `refusal` (empty, or
-            why an estimator could not run) and `squared_error` over time (scenario, estimator, time), the mean
-            over runs. Coordinates `plant`, `attack`, `steps`, `score_from` and `seed` of the scenarios.
+            why an estimator could not run) and `squared_error` over time (scenario, estimator, time), the
+            mean over runs. Coordinates `plant`, `attack`, `steps`, `score_from` and `seed` of the scenarios.
             The same for any number of workers, to the bit.
         sensors: pandas DataFrame, one row per scenario, estimator and sensor: counts and rates.
         timing: pandas DataFrame (scenario, estimator), microseconds per step of one filter on one thread, the
@@ -95,10 +95,10 @@ class Comparison:
     def ranking(self) -> pd.DataFrame:
         """Estimators, best first, by the geometric mean of their ratio to the oracle.
 
-        Columns: ratio (over the scenarios where the estimator runs), worst, within (share of all scenarios with
-        a ratio up to 1.5), false_alarm_rate (mean over scenarios), detection_rate, microseconds (median),
-        scenarios (how many it ran). An estimator that runs in fewer scenarios is not comparable with one that
-        runs in all.
+        Columns: ratio (over the scenarios where the estimator runs), worst, within (share of all scenarios
+        with a ratio up to 1.5), false_alarm_rate (mean over scenarios), detection_rate, microseconds
+        (median), scenarios (how many it ran). An estimator that runs in fewer scenarios is not comparable
+        with one that runs in all, and stands below it.
         """
         import pandas as pd
 
@@ -124,7 +124,7 @@ class Comparison:
         return frame[[*first, *(c for c in frame.columns if c not in first)]]
 
     def save(self, folder: str | os.PathLike[str]) -> list[Path]:
-        """Write table.nc, table.csv, sensors.csv and timing.csv, each whole or not at all; returns their paths.
+        """Write table.nc, table.csv, sensors.csv and timing.csv, each whole or not at all; return the paths.
 
         The first three hold the same bytes for the same comparison, whoever computed it.
         """

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import NDArray
 
+from securestate._checks import whole_number
 from securestate.errors import InputError
 from securestate.plant import Plant, Sensor
 
@@ -36,8 +37,7 @@ class PlantFamily:
     runs_per_plant: int = 1
 
     def __post_init__(self) -> None:
-        if isinstance(self.runs_per_plant, bool) or self.runs_per_plant < 1:
-            raise InputError("runs_per_plant", "a whole number >= 1", repr(self.runs_per_plant))
+        whole_number("runs_per_plant", self.runs_per_plant, 1, InputError)
 
 
 def scalar(rng: Generator) -> Plant:
@@ -49,7 +49,7 @@ def scalar(rng: Generator) -> Plant:
 
 
 def full_planar(rng: Generator) -> Plant:
-    """Position and velocity in the plane, 15 sensors with two channels each that see both positions, turned."""
+    """Position and velocity in the plane; each of 15 sensors sees both positions, turned by an angle."""
     Q = _planar_noise(rng)
     angle, size = rng.uniform(0, 2 * np.pi, 15), rng.uniform(1, 2, 15)
     R = rng.uniform(1, 2, 15)
@@ -71,14 +71,14 @@ def partial_planar(rng: Generator) -> Plant:
 
 def _planar_motion(decay: float) -> Float:
     """Two axes of position and velocity, sampled every half second."""
-    motion: Float = np.kron(np.eye(2), decay * np.array([[1.0, 0.5], [0.0, 0.95]]))
-    return motion
+    axis = decay * np.array([[1.0, 0.5], [0.0, 0.95]])
+    return np.asarray(np.kron(np.eye(2), axis), dtype=np.float64)
 
 
 def _planar_noise(rng: Generator) -> Float:
     push = np.array([[0.125], [0.5]])
-    noise: Float = np.kron(np.eye(2), push @ push.T + 0.01 * np.eye(2)) * rng.uniform(0.5, 2.0)
-    return noise
+    axis = (push @ push.T + 0.01 * np.eye(2)) * rng.uniform(0.5, 2.0)
+    return np.asarray(np.kron(np.eye(2), axis), dtype=np.float64)
 
 
 #: The families that configuration files know by name.

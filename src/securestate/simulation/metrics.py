@@ -81,7 +81,7 @@ class Scores:
 def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
     """Compare a batch of estimates with the truth, from sample `score_from` on.
 
-    A reading that was suppressed can neither be detected nor be a false alarm; its sensor does not count there.
+    A reading that was suppressed is neither a lie nor honest: its sensor does not count at that sample.
     """
     plant, scored = truth.plant, slice(score_from, None)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -141,9 +141,9 @@ def _nis(run: Run, truth: Trajectory, scored: slice) -> Float:
     with np.errstate(all="ignore"):
         ratio = (run.innovation[:, scored] / run.innovation_std[:, scored]) ** 2
         honest &= ~np.isnan(ratio)
-        return np.where(honest, ratio, 0.0).sum(axis=(1, 2)) / np.where(
-            honest.any(axis=(1, 2)), honest.sum(axis=(1, 2)), np.nan
-        )
+        count = honest.sum(axis=(1, 2))
+        nis: Float = np.where(honest, ratio, 0.0).sum(axis=(1, 2)) / np.where(count, count, np.nan)
+    return nis
 
 
 def _delay(lies: Bool, found: Bool) -> Float:
@@ -167,9 +167,9 @@ def _injection(run: Run, truth: Trajectory, noise: Float, scored: slice) -> tupl
 def summarise_scores(scores: Scores, oracle: Scores | None) -> Mapping[str, float]:
     """The figures of one cell of a comparison, each a single number.
 
-    Rates are shares of all sensor-samples; `delay` is the median over runs with a lie, inf if most never found
-    it. Intervals are 95 %, from the runs as independent samples; that of the ratio to the oracle counts that
-    both saw the same data (delta method on its logarithm).
+    Rates are shares of all sensor-samples; `delay` is the median over runs with a lie, inf if most never
+    found it. Intervals are 95 %, from the runs as independent samples; that of the ratio to the oracle counts
+    that both saw the same data (delta method on its logarithm).
     """
     run = dict(zip(PER_RUN, scores.per_run.T, strict=True))
     runs = len(scores.per_run)

@@ -13,7 +13,7 @@ from typing import Any, final
 import numpy as np
 from numpy.random import SeedSequence, default_rng
 
-import securestate
+from securestate._checks import whole_number
 from securestate.attacks.base import Attack
 from securestate.errors import InputError
 from securestate.estimators import Estimator, OracleFilter
@@ -53,14 +53,9 @@ class Scenario:
     attack_name: str = ""
 
     def __post_init__(self) -> None:
-        for argument, value, least in (
-            ("steps", self.steps, 1),
-            ("runs", self.runs, 1),
-            ("seed", self.seed, 0),
-        ):
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise InputError(argument, f"a whole number >= {least}", repr(value))
-        if isinstance(self.score_from, bool) or not 0 <= self.score_from < self.steps:
+        for argument, least in (("steps", 1), ("runs", 1), ("seed", 0), ("score_from", 0)):
+            whole_number(argument, getattr(self, argument), least, InputError)
+        if self.score_from >= self.steps:
             raise InputError("score_from", f"a sample in 0..{self.steps - 1}", repr(self.score_from))
         if isinstance(self.plant, Plant) and not self.plant.time_varying:
             object.__setattr__(self, "plant", stabilised(self.plant))
@@ -147,15 +142,13 @@ def _named(design: Any) -> str:
 
 def content(value: Plant | Belief) -> str:
     """Hash of every attribute of a plant or a belief."""
-    parts = hashlib.sha256()
+    total = hashlib.sha256()
     for name, held in sorted(vars(value).items()):
-        if name == "sensors":
-            continue
-        parts.update(name.encode())
-        parts.update(
-            f"{held.shape}".encode() + held.tobytes() if isinstance(held, np.ndarray) else repr(held).encode()
-        )
-    return parts.hexdigest()
+        if name != "sensors":  # all they say is in the other attributes
+            array = isinstance(held, np.ndarray)
+            total.update(f"{name} {held.shape if array else held!r}".encode())
+            total.update(held.tobytes() if array else b"")
+    return total.hexdigest()
 
 
 def digest(*parts: str) -> str:
@@ -170,7 +163,7 @@ def digest(*parts: str) -> str:
 @functools.cache
 def code_key() -> str:
     """Hash of this package's code, kernels included: results of other code are not continued."""
-    folder = Path(securestate.__file__).parent
+    folder = Path(__file__).parents[1]
     total = hashlib.sha256()
     for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".so", ".pyd")):
         total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())

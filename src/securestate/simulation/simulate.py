@@ -11,6 +11,7 @@ from numpy.random import Generator, SeedSequence, default_rng
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
+from securestate._checks import whole_number
 from securestate._steady_state import steady_state
 from securestate.attacks.base import Attack, Injection, Scene
 from securestate.errors import DesignError, InputError, ShapeError
@@ -78,14 +79,13 @@ class Simulator:
         """Arguments and errors as for `simulate`."""
         if not isinstance(plant, Plant):
             raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
-        _whole("steps", steps, 1)
+        whole_number("steps", steps, 1, InputError)
         if plant.horizon is not None and steps > plant.horizon:
             raise InputError("steps", f"at most {plant.horizon}, as many as A and C cover", str(steps))
-        if prior is not None and (not isinstance(prior, Belief) or len(prior.x) != plant.n):
+        if prior is not None and len(prior.x) != plant.n:
             raise InputError("prior", f"a Belief about {plant.n} states, or None", repr(prior))
         self.plant, self.steps, self.prior = plant, steps, prior
         self._mean, self._root_P = _start(plant, prior)
-        self._matrices = tuple(np.ascontiguousarray(M) for M in (plant.A, plant.B, plant.C, plant.D))
         self._roots = square_root(plant.Q), square_root(plant.R)
         self._feedback = feedback_for(plant, steps)
 
@@ -99,8 +99,8 @@ class Simulator:
         u: ArrayLike | None = None,
     ) -> Trajectory:
         """Arguments, result and errors as for `simulate`."""
-        _whole("runs", runs, 1)
-        _whole("first_run", first_run, 0)
+        whole_number("runs", runs, 1, InputError)
+        whole_number("first_run", first_run, 0, InputError)
         if attack is not None and not isinstance(attack, Attack):
             raise InputError("attack", "an Attack from securestate.attacks, or None", type(attack).__name__)
         plant, streams = self.plant, _streams(seed, first_run, runs)
@@ -108,7 +108,8 @@ class Simulator:
         x[:, 0] = self._mean + x[:, 0] @ self._root_P
         inputs = np.ascontiguousarray(plant.normalise_input(_inputs(u, plant, runs, self.steps)))
         noise = np.empty_like(y)
-        _kernels.simulate(*self._matrices, *self._roots, self._feedback, x, inputs, y, noise)
+        matrices = plant.A, plant.B, plant.C, plant.D
+        _kernels.simulate(*matrices, *self._roots, self._feedback, x, inputs, y, noise)
         known = plant.input_offset + plant.input_scale * inputs
         clean = plant.denormalise(y)
         scene = Scene(plant, x, known, plant.scale * noise, clean, lambda number: streams(ADVERSARY, number))
@@ -135,15 +136,13 @@ def square_root(P: Float) -> Float:
 
 def _streams(seed: int | Generator, first: int, runs: int) -> Callable[[int, int], Sequence[Generator]]:
     """Generators of every run, given the branch and its number; the same ones at every call."""
-    if isinstance(seed, Generator):
-        seed = int(seed.integers(2**63))
-    if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise InputError("seed", "a whole number >= 0 or a numpy.random.Generator", repr(seed))
+    entropy = int(seed.integers(2**63)) if isinstance(seed, Generator) else seed
+    whole_number("seed", entropy, 0, InputError)
 
     @cache
     def streams(branch: int, number: int) -> Sequence[Generator]:
         each = range(first, first + runs)
-        return [default_rng(SeedSequence(seed, spawn_key=(run, branch, number))) for run in each]
+        return [default_rng(SeedSequence(entropy, spawn_key=(run, branch, number))) for run in each]
 
     return streams
 
@@ -190,8 +189,3 @@ def _nobody(scene: Scene) -> Injection:
     return Injection(
         np.zeros_like(scene.y), np.zeros((runs, steps, scene.plant.n_sensors), dtype=np.bool_), ()
     )
-
-
-def _whole(argument: str, value: object, least: int) -> None:
-    if isinstance(value, bool) or not isinstance(value, int) or value < least:
-        raise InputError(argument, f"a whole number >= {least}", repr(value))

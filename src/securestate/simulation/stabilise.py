@@ -1,8 +1,8 @@
 """Keep the state of an unstable plant bounded, without changing the estimation problem.
 
-Open loop, x grows as |lambda|^k, and double precision has lost the estimate when that reaches 1e16. An input that
-every estimator is told cancels out of the estimation error, so a feedback from the true state bounds x and changes
-nothing else.
+Open loop, x grows as |lambda|^k, and double precision has lost the estimate when that reaches 1e16. An input
+that every estimator is told cancels out of the estimation error, so a feedback from the true state bounds x
+and changes nothing else.
 """
 
 from __future__ import annotations
@@ -79,8 +79,8 @@ def feedback_for(plant: Plant, steps: int) -> Float | None:
     gain = feedback_gain(plant)
     if gain is None and steps * np.log(size) > np.log(HARMLESS):
         raise DesignError(
-            f"A has an eigenvalue of size {size:.6g} that no input can hold: within {steps} samples the state "
-            f"grows {size:.6g}^{steps} times, and double precision loses the estimate",
+            f"A has an eigenvalue of size {size:.6g} that no input can hold: within {steps} samples the "
+            f"state grows {size:.6g}^{steps} times, and double precision loses the estimate",
             "simulate securestate.simulation.stabilised(plant), which adds a known input, and design the "
             "estimators for that plant",
         )
@@ -88,7 +88,7 @@ def feedback_for(plant: Plant, steps: int) -> Float | None:
 
 
 def feedback_gain(plant: Plant) -> Float | None:
-    """-L of the linear-quadratic regulator with unit weights, or None if the inputs cannot hold every mode."""
+    """-L of the linear-quadratic regulator with unit weights; None if the inputs cannot hold every mode."""
     if not plant.n_inputs:
         return None
     A, B = plant.A, plant.B

@@ -29,6 +29,7 @@
     attacks = ["bias 5"]
     on = { redrawn = [1, 6] }   # instead of what the attacks say
     start = 0                   # likewise
+    runs = 20                   # fewer than the others, where a run takes long
     prior_variance = 1e4        # x[0] ~ N(0, 1e4 I); default: steady state
 
     [[estimator]]               # default: every method there is
@@ -36,8 +37,8 @@
     method = "sparse"
     kalman_probability = 0.9    # settings of the method
 
-`on` is a sensor's name, a list of names, or a table: { drawn = 6 } once per run, { redrawn = [1, 6] } at every
-sample, { switching = 3, every = 20 }; each with `among = [names]` if not every sensor may be chosen.
+`on` is a sensor's name, a list of names, or a table: { drawn = 6 } once per run, { redrawn = [1, 6] } at
+every sample, { switching = 3, every = 20 }; each with `among = [names]` if not every sensor may be chosen.
 """
 
 from __future__ import annotations
@@ -121,6 +122,7 @@ class _Scenario(_Table):
     attacks: list[str] = Field(min_length=1)
     on: _On | None = None
     start: int | None = None
+    runs: Positive | None = None
     prior_variance: Annotated[float, Field(gt=0)] | None = None
     label: str | None = None
 
@@ -216,7 +218,7 @@ class _Reader:
                     plant,
                     attack,
                     head.steps,
-                    self.runs,
+                    self.runs if entry.runs is None else min(self.runs, entry.runs),
                     head.seed,
                     head.score_from,
                     _prior(plant, entry.prior_variance),
@@ -241,7 +243,7 @@ class _Reader:
 
     def part(self, where: str, kind: str, entry: _Attack | _Part, scenario: _Scenario) -> SingleAttack:
         """One adversary."""
-        family = _known(f"{where}: kind", kind, ATTACKS)
+        family: type[SingleAttack] = _known(f"{where}: kind", kind, ATTACKS)
         given = {name: _tuples(value) for name, value in (entry.model_extra or {}).items()}
         known = [field.name for field in fields(family) if field.name not in ("on", "start")]
         for name in given:

@@ -1,4 +1,4 @@
-"""What a simulation returns: truth, what the sensors measure, what arrives, and what an estimator makes of it."""
+"""What a simulation returns: the truth, what sensors measure, what arrives, what an estimator makes of it."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ class Trajectory:
         return estimator.run(self.y, u, self.prior, covariance=covariance), self
 
     def _react(self, estimator: Estimator | OracleFilter, *, covariance: bool) -> tuple[Run, Trajectory]:
-        """Sample by sample: what the defender expects, what the adversaries make of it, what the defender does."""
+        """Sample by sample: what the defender expects, what adversaries make of it, what it does."""
         plant, several = self.plant, self.plant.n_inputs > 0
         live = estimator.start(self.prior, runs=self.runs)
         x = np.broadcast_to(0.0 if self.prior is None else self.prior.x, (self.runs, 1, plant.n))
