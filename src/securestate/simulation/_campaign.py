@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
@@ -10,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from securestate._checks import whole_number
-from securestate.errors import InputError
+from securestate.errors import InputError, SecurestateWarning
 from securestate.simulation._store import Kept, Store
 from securestate.simulation._work import GROUP, Done, Task, groups_of, work
 from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
@@ -59,7 +60,8 @@ def finish(
     tell(done, total)
     if not tasks:
         return
-    with _executor(workers, dask) as (executor, width):
+    with warnings.catch_warnings(), _executor(workers, dask) as (executor, width):
+        warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
         running: dict[Future[Outcome], Task] = {}
         try:
             while tasks or running:

@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 import threading
 import time
+import warnings
 from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from securestate.errors import SecurestateError
+from securestate.errors import SecurestateError, SecurestateWarning
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Plant
 from securestate.simulation.metrics import Scores, score
@@ -29,7 +30,7 @@ SLICE = 0.5
 #: Times a single run is timed; the fastest counts.
 TIMINGS = 3
 #: Designs and simulators kept per process.
-KEPT = 256
+KEPT = 512
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def work(task: Task, *, alone: bool, budget: float = SLICE) -> tuple[list[Done],
         raise RuntimeError("this worker runs another version of securestate than the one that asks")
     if alone:
         os.environ.setdefault("RAYON_NUM_THREADS", "1")
+        warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
     begin, done = time.perf_counter(), list[Done]()
     with threadpool_limits(limits=1, user_api="blas"):  # more threads could change the last bits
         for position, group in enumerate(task.groups):
@@ -130,33 +132,33 @@ def _microseconds(estimator: Estimator | OracleFilter, met: Trajectory) -> float
     return 1e6 * best / met.steps
 
 
-class _Kept(threading.local):
-    """Simulators and designs of this thread, by what identifies them."""
+class _Kept(Generic[Key, Value]):
+    """Values of this process by what identifies them, each made once, even if several threads ask at once."""
 
     def __init__(self) -> None:
-        self.simulators: dict[str, Simulator] = {}
-        self.designs: dict[tuple[str, str], Estimator | OracleFilter] = {}
+        self._slots: dict[Key, tuple[threading.Lock, list[Value]]] = {}
+
+    def get(self, key: Key, make: Callable[[], Value]) -> Value:
+        """The value of a key; the oldest one is forgotten when there are too many."""
+        if key not in self._slots and len(self._slots) >= KEPT:
+            self._slots.pop(next(iter(self._slots)), None)
+        lock, held = self._slots.setdefault(key, (threading.Lock(), []))
+        with lock:
+            if not held:
+                held.append(make())
+            return held[0]
 
 
-_kept = _Kept()
+_simulators: _Kept[str, Simulator] = _Kept()
+_designs: _Kept[tuple[str, str], Estimator | OracleFilter] = _Kept()
 
 
 def _simulator(scenario: Scenario, run: int) -> Simulator:
     """The simulator of a run's plant; kept, since others of its runs may follow."""
     key = digest(scenario.plant_key_of(run), scenario.key)
-    return _keep(
-        _kept.simulators, key, lambda: Simulator(scenario.plant_of(run), scenario.steps, scenario.prior)
-    )
+    return _simulators.get(key, lambda: Simulator(scenario.plant_of(run), scenario.steps, scenario.prior))
 
 
 def _design(recipe: Recipe, scenario: Scenario, run: int, plant: Plant) -> Estimator | OracleFilter:
     """The estimator for a run's plant; kept, since other scenarios may have the same plant."""
-    return _keep(_kept.designs, (scenario.plant_key_of(run), recipe.key), lambda: recipe(plant))
-
-
-def _keep(kept: dict[Key, Value], key: Key, make: Callable[[], Value]) -> Value:
-    if key not in kept:
-        if len(kept) >= KEPT:
-            kept.clear()
-        kept[key] = make()
-    return kept[key]
+    return _designs.get((scenario.plant_key_of(run), recipe.key), lambda: recipe(plant))
