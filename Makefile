@@ -12,7 +12,7 @@ export PYO3_PYTHON := $(CURDIR)/$(PY)
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
-.PHONY: help setup run test lint types contracts rust pytest bench papers format requirements clean
+.PHONY: help setup run test lint types contracts rust pytest bench papers arena format requirements clean
 
 help: ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## / { printf "make %-13s %s\n", $$1, $$2 }' Makefile
@@ -51,6 +51,9 @@ bench: setup ## side-by-side benchmarks
 
 papers: setup ## reproduce the papers' numbers
 	@$(PY) -m papers.liu2020 $(ARGS)
+
+arena: setup ## every estimator against every adversary; interrupted, it goes on where it stopped
+	@.venv/bin/securestate compare examples/arena/suite.toml --out examples/arena/out --report examples/arena/out/report.html $(ARGS)
 
 format: setup ## format Python and Rust in place
 	$(PY) -m ruff check --quiet --fix-only .

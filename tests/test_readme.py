@@ -5,7 +5,7 @@ Rules for README, ARCHITECTURE, CHANGELOG and docs, each page in a folder and a 
 - ```python is executed; a ```text right after it is what it prints.
 - ```console holds commands after "$ " and what they print; a command fails only where `echo $?` follows.
 - ```bash holds commands only. Commands that begin with make or git are not run; a make target must exist.
-- ```toml is loaded as a plant and saved under the name in the line above it, such as `plant.toml`.
+- ```toml is loaded as a plant or a suite and saved under the name in the line above it, such as `plant.toml`.
 - ```text elsewhere is for people. Shown output may leave out a part with "...".
 """
 
@@ -27,6 +27,7 @@ import pytest
 
 import securestate
 from securestate import Estimator, Plant
+from securestate.simulation.suite import load_suite
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [
@@ -133,12 +134,13 @@ def assert_target_exists(place: str, command: str) -> None:
 
 def save_plant(block: Block, folder: Path) -> None:
     name = re.search(r"`([\w-]+\.toml)`", block.above)
-    if "plant" not in tomllib.loads(block.text):
+    tables = tomllib.loads(block.text)
+    if "plant" not in tables:
         return
     assert name, f"{block.place}: the line above names no file"
     path = folder / name[1]
     path.write_text(block.text, encoding="utf-8")
-    assert Plant.load(path).n > 0
+    assert load_suite(path).scenarios if "suite" in tables else Plant.load(path).n > 0
 
 
 @pytest.mark.parametrize("name", PAGES)

@@ -25,10 +25,12 @@ from securestate.estimators import (
 )
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
+from securestate.simulation import Comparison, Trajectory, compare, simulate
 
 __all__ = [
     "Belief",
     "ChiSquareFilter",
+    "Comparison",
     "DesignError",
     "Estimate",
     "Estimator",
@@ -49,7 +51,10 @@ __all__ = [
     "ShapeError",
     "SparseFusion",
     "Status",
+    "Trajectory",
     "attacks",
+    "compare",
     "read_measurements",
+    "simulate",
     "write_run",
 ]

@@ -2,6 +2,7 @@
 
 from securestate.simulation.compare import campaign, compare
 from securestate.simulation.comparison import Comparison
+from securestate.simulation.falsify import Falsified, falsify
 from securestate.simulation.families import FAMILIES, PlantFamily
 from securestate.simulation.scenario import Recipe, Scenario
 from securestate.simulation.simulate import Simulator, simulate
@@ -11,6 +12,7 @@ from securestate.simulation.trajectory import Trajectory
 __all__ = [
     "FAMILIES",
     "Comparison",
+    "Falsified",
     "PlantFamily",
     "Recipe",
     "Scenario",
@@ -18,6 +20,7 @@ __all__ = [
     "Trajectory",
     "campaign",
     "compare",
+    "falsify",
     "simulate",
     "stabilised",
 ]

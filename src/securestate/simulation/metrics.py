@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from securestate.estimators import Run, Status
 from securestate.simulation.trajectory import Trajectory
@@ -173,7 +173,7 @@ def summarise_scores(scores: Scores, oracle: Scores | None) -> Mapping[str, floa
     """
     run = dict(zip(PER_RUN, scores.per_run.T, strict=True))
     runs = len(scores.per_run)
-    quantile = float(stats.t.ppf((1 + LEVEL) / 2, runs - 1)) if runs > 1 else np.nan
+    quantile = float(special.stdtrit(runs - 1, (1 + LEVEL) / 2)) if runs > 1 else np.nan
     with np.errstate(all="ignore"):
         mse = float(run["mse"].mean())
         half = quantile * float(run["mse"].std(ddof=1)) / np.sqrt(runs) if runs > 1 else np.nan

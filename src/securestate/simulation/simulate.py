@@ -103,7 +103,7 @@ class Simulator:
         whole_number("first_run", first_run, 0, InputError)
         if attack is not None and not isinstance(attack, Attack):
             raise InputError("attack", "an Attack from securestate.attacks, or None", type(attack).__name__)
-        plant, streams = self.plant, _streams(seed, first_run, runs)
+        plant, streams = self.plant, streams_of(seed, first_run, runs)
         x, y = _draw(plant, self.steps, streams(NOISE, 0))
         x[:, 0] = self._mean + x[:, 0] @ self._root_P
         inputs = np.ascontiguousarray(plant.normalise_input(_inputs(u, plant, runs, self.steps)))
@@ -134,7 +134,7 @@ def square_root(P: Float) -> Float:
     return np.ascontiguousarray(root)
 
 
-def _streams(seed: int | Generator, first: int, runs: int) -> Callable[[int, int], Sequence[Generator]]:
+def streams_of(seed: int | Generator, first: int, runs: int) -> Callable[[int, int], Sequence[Generator]]:
     """Generators of every run, given the branch and its number; the same ones at every call."""
     entropy = int(seed.integers(2**63)) if isinstance(seed, Generator) else seed
     whole_number("seed", entropy, 0, InputError)
