@@ -24,6 +24,16 @@ class Filter:
     ) -> Self: ...
     def step(self, y: ArrayLike, u: ArrayLike | None = None) -> Estimate: ...
     def advance(self, y: _Float, u: _Float, steps: int, covariance: bool) -> dict[str, NDArray[Any]]: ...
+    def react(
+        self,
+        clean: _Float,
+        opened: _Float,
+        gain: _Float,
+        u: _Float,
+        means: _Float,
+        plant: tuple[_Float, _Float, _Float, _Float],
+        covariance: bool,
+    ) -> tuple[dict[str, NDArray[Any]], _Float]: ...
     def save(self) -> bytes: ...
 
 @final

@@ -1,5 +1,6 @@
 """Trajectories: what the equations say, whatever the batch."""
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from securestate import (
     ShapeError,
 )
 from securestate.attacks import Bias, DefenderReflection, Denial, Drawn, RandomNoise, Redrawn
+from securestate.attacks.base import ClosedLoopAttack
 from securestate.simulation import Simulator, Trajectory, simulate, stabilised
 
 
@@ -136,10 +138,19 @@ def test_suppressed_readings_are_missing() -> None:
     assert np.isnan(run.trust[:, 5:8, 0]).all()
 
 
+@dataclass(frozen=True)
+class Mirror(ClosedLoopAttack):
+    """What DefenderReflection does, without telling that it is proportional."""
+
+    def react(self, view: Any, k: int, expected: Any) -> Any:
+        return 2.0 * (expected - view.y[:, k])
+
+
+@pytest.mark.parametrize("adversary", [DefenderReflection, Mirror])
 @pytest.mark.parametrize("make", [KalmanFilter, InnovationGate])
-def test_a_closed_loop_reacts_to_what_the_filter_really_expects(make: Any) -> None:
+def test_a_closed_loop_reacts_to_what_the_filter_really_expects(make: Any, adversary: Any) -> None:
     plant = engineering()
-    attack = DefenderReflection(on=Redrawn((0, 2)), start=3) + Bias(2.0, on="single", start=10)
+    attack = adversary(on=Redrawn((0, 2)), start=3) + Bias(2.0, on="single", start=10)
     trajectory = simulate(plant, 40, attack, runs=5, seed=8, u=np.full((40, 1), 55.0))
     estimator = make(plant)
     run, met = trajectory.confront(estimator)
@@ -153,6 +164,31 @@ def test_a_closed_loop_reacts_to_what_the_filter_really_expects(make: Any) -> No
     promised = np.where(reflected, 2 * expected - met.clean, met.clean) + bias
     np.testing.assert_allclose(met.y, promised, atol=1e-9)
     assert met.reactions == ()
+
+
+def test_who_reacts_in_proportion_does_the_same_in_the_kernels_as_step_by_step() -> None:
+    plant = engineering()
+    prior = Belief([1.0, -2.0], np.diag([5.0, 7.0]))
+    for make in (KalmanFilter, InnovationGate, OracleFilter):
+        met = []
+        for adversary in (DefenderReflection, Mirror):
+            attack = adversary(on=Redrawn((0, 2))) + Denial(0.3, on=Drawn(1))
+            trajectory = simulate(plant, 40, attack, runs=4, seed=6, prior=prior)
+            met.append(trajectory.confront(make(plant)))
+        np.testing.assert_allclose(met[0][0].x, met[1][0].x, atol=1e-9)
+        np.testing.assert_allclose(met[0][1].y, met[1][1].y, atol=1e-8)
+        np.testing.assert_allclose(met[0][1].a, met[1][1].a, atol=1e-8)
+
+
+def test_a_closed_loop_is_the_same_in_any_batch() -> None:
+    plant = engineering()
+    runs = []
+    for first, count in ((0, 12), (5, 3)):
+        trajectory = simulate(
+            plant, 50, DefenderReflection(on=Redrawn(2)), runs=count, seed=4, first_run=first
+        )
+        runs.append(trajectory.confront(InnovationGate(plant))[0])
+    np.testing.assert_array_equal(runs[1].x, runs[0].x[5:8])
 
 
 def test_the_oracle_is_not_moved_by_a_closed_loop() -> None:
@@ -205,9 +241,14 @@ def test_stabilised_adds_inputs_only_where_they_are_needed() -> None:
     assert stabilised(unstable(with_input=True)).n_inputs == 1
     assert stabilised(engineering()) == engineering()
     correlated = Plant(
-        np.diag([-2.0, 0.5, 0.1]), np.eye(3), [Sensor("a", C=np.eye(3), offset=3.0, scale=2.0, unit="m", protected=True)],
-        R=np.eye(3) + 0.1, B=[[0.0], [1.0], [0.0]], D=[[1.0], [2.0], [3.0]], input_scale=5.0,
-    )  # fmt: skip
+        np.diag([-2.0, 0.5, 0.1]),
+        np.eye(3),
+        [Sensor("a", C=np.eye(3), offset=3.0, scale=2.0, unit="m", protected=True)],
+        R=np.eye(3) + 0.1,
+        B=[[0.0], [1.0], [0.0]],
+        D=[[1.0], [2.0], [3.0]],
+        input_scale=5.0,
+    )
     kept = stabilised(correlated)
     np.testing.assert_array_equal(kept.R, correlated.R)
     np.testing.assert_array_equal(kept.D[:, 0], [1.0, 2.0, 3.0])

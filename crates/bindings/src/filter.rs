@@ -2,9 +2,13 @@
 
 use std::sync::Arc;
 
-use numpy::{AllowTypeChange, PyArrayLike1, PyReadonlyArray1};
+use numpy::{
+    AllowTypeChange, PyArray1, PyArrayDyn, PyArrayLike1, PyArrayMethods, PyReadonlyArray1,
+    PyUntypedArrayMethods,
+};
 use pyo3::prelude::*;
 use pyo3::types::{PyBytes, PyDict};
+use securestate_kernels::reaction::Reaction;
 use securestate_kernels::{Block, Error, Record};
 
 use crate::arrays::{self, Array};
@@ -79,6 +83,40 @@ impl Filter {
             py.check_signals()?;
         }
         arrays::record(py, record)
+    }
+
+    /// Every run against adversaries that answer in proportion to what the filter expects: y[k] = opened[k] +
+    /// gain[k] (clean[k] − expected[k]). `clean`, `opened`, `gain` (runs, steps, m), `u` (runs, steps, p), `means`
+    /// (runs, n), `plant` A, B, C, D. Returns arrays by name, and y (runs, steps, m).
+    #[allow(clippy::too_many_arguments)]
+    fn react<'py>(
+        &mut self,
+        py: Python<'py>,
+        clean: Array<'_>,
+        opened: Array<'_>,
+        gain: Array<'_>,
+        u: Array<'_>,
+        means: Array<'_>,
+        plant: (Array<'_>, Array<'_>, Array<'_>, Array<'_>),
+        covariance: bool,
+    ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyArrayDyn<f64>>)> {
+        let (dims, names) = (self.kernel.dims(), self.kernel.diagnostics().len());
+        let steps = clean.shape().get(1).copied().unwrap_or(0);
+        let model = arrays::motion(&plant.0, &plant.1, &plant.2, &plant.3, dims.states, dims.channels)?;
+        let reaction = Reaction {
+            model: &model,
+            clean: arrays::slice("clean", &clean)?,
+            open: arrays::slice("opened", &opened)?,
+            gain: arrays::slice("gain", &gain)?,
+            u: arrays::slice("u", &u)?,
+            means: arrays::slice("means", &means)?,
+            steps,
+        };
+        let mut y = vec![0.0; reaction.clean.len()];
+        let mut record = Record::new(dims, names, self.runs, steps, covariance);
+        py.detach(|| self.inner.react(&reaction, &mut y, &mut record)).map_err(to_python)?;
+        let y = PyArray1::from_vec(py, y).reshape(clean.shape())?;
+        Ok((arrays::record(py, record)?, y.to_dyn().clone()))
     }
 
     /// The state as bytes.

@@ -3,7 +3,6 @@
 use numpy::{PyReadwriteArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use securestate_kernels::Error;
-use securestate_kernels::kalman::model::{Matrices, Model};
 use securestate_kernels::simulation::{Batch, Simulation};
 
 use crate::arrays::{self, Array};
@@ -31,22 +30,8 @@ pub fn simulate(
     mut noise: PyReadwriteArrayDyn<'_, f64>,
 ) -> PyResult<()> {
     let (n, m) = (q.shape().first().copied().unwrap_or(0), r.shape().first().copied().unwrap_or(0));
-    let mut unit_q = vec![0.0; n * n];
-    let mut unit_r = vec![0.0; m * m];
-    unit_q.iter_mut().step_by(n + 1).chain(unit_r.iter_mut().step_by(m + 1)).for_each(|v| *v = 1.0);
-    let matrices = Matrices {
-        states: n,
-        a: arrays::owned("A", &a)?,
-        b: arrays::owned("B", &b)?,
-        c: arrays::owned("C", &c)?,
-        d: arrays::owned("D", &d)?,
-        q: unit_q,
-        r: unit_r,
-        channel_sensor: (0..m).collect(),
-        sensors: m,
-    };
+    let model = arrays::motion(&a, &b, &c, &d, n, m)?;
     let feedback = feedback.as_ref().map(|l| arrays::owned("feedback", l)).transpose()?.unwrap_or_default();
-    let model = Model::new(matrices).map_err(to_python)?;
     let simulation = Simulation::new(model, arrays::owned("Q", &q)?, arrays::owned("R", &r)?, feedback)
         .map_err(to_python)?;
     let steps = x.shape().get(1).copied().unwrap_or(0);

@@ -7,6 +7,8 @@ use rayon::prelude::*;
 use crate::codec::{Decoder, Encoder, Fingerprint};
 use crate::estimator::PlannedRun;
 use crate::lanes::LANES;
+use crate::reaction::{OneRun, Reaction};
+use crate::record::RunRecord;
 use crate::{Dims, Error, Estimator, Output, Record, Result, Units};
 
 /// Marks a saved filter state and its layout.
@@ -53,6 +55,11 @@ pub trait Filter: Send + Sync {
     /// # Errors
     /// As [`Filter::step`].
     fn advance(&mut self, block: Block<'_>, from: usize, to: usize, record: &mut Record) -> Result<()>;
+    /// Every run against adversaries that react to it; what arrives is written to `y` (runs, steps, m).
+    ///
+    /// # Errors
+    /// As [`Filter::step`].
+    fn react(&mut self, reaction: &Reaction<'_>, y: &mut [f64], record: &mut Record) -> Result<()>;
     /// The state of a single filter as bytes.
     ///
     /// # Errors
@@ -179,6 +186,28 @@ impl<E: Estimator + 'static> Design<E> {
         Ok(())
     }
 
+    /// One run against adversaries that react to it.
+    fn react(
+        &self,
+        state: &mut E::State,
+        mut adversary: OneRun<'_>,
+        y: &mut [f64],
+        mut record: RunRecord<'_>,
+    ) -> Result<()> {
+        let m = self.estimator.dims().channels;
+        let (mut scratch, mut u) =
+            (Scratch::new(self.estimator.dims()), vec![0.0; self.estimator.dims().inputs]);
+        for (k, y) in y.chunks_exact_mut(m).enumerate() {
+            let (given, mut out) = (adversary.input(k), record.at(k));
+            self.units.normalise_input(given, &mut u).map_err(|error| at_sample(error, k))?;
+            adversary.send(k, &self.units, &u, y);
+            self.step(state, &mut scratch, (y, given), None, &mut out)
+                .map_err(|error| at_sample(error, k))?;
+            adversary.hear(k, out.x, &u);
+        }
+        Ok(())
+    }
+
     fn step(
         &self,
         state: &mut E::State,
@@ -268,6 +297,17 @@ impl<E: Estimator + 'static> Filter for Bank<E> {
             Some(plan) if !alone => self.design.advance_planned(&mut jobs, from, plan),
             plan => self.design.advance(&mut jobs, from, plan.as_ref()),
         }
+    }
+
+    fn react(&mut self, reaction: &Reaction<'_>, y: &mut [f64], record: &mut Record) -> Result<()> {
+        let (runs, width) = (self.states.len(), reaction.steps * self.design.estimator.dims().channels);
+        reaction.check(runs)?;
+        Error::check_len("y", runs * width, y.len())?;
+        record.unshare();
+        let jobs: Vec<_> = (self.states.iter_mut()).zip(y.chunks_mut(width)).zip(record.split()).collect();
+        jobs.into_par_iter().enumerate().try_for_each(|(r, ((state, y), record))| {
+            self.design.react(state, reaction.of(r), y, record).map_err(|error| place(error, r, runs))
+        })
     }
 
     fn save(&self) -> Result<Vec<u8>> {

@@ -14,6 +14,7 @@ pub mod lasso;
 pub mod linalg;
 pub mod penalty;
 pub mod projection;
+pub mod reaction;
 pub mod record;
 pub mod simulation;
 pub mod sparse_fusion;

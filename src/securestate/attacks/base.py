@@ -162,6 +162,13 @@ class Reaction:
         wanted = self.attack.react(self.view, k, expected)
         return np.where(self.view.attacked[:, k, self.view.channel_sensor], wanted, 0.0)
 
+    @property
+    def gain(self) -> Float | None:
+        """The factor in a = gain (y - expected) of an adversary like that, (runs, T, m); None of others."""
+        if not isinstance(self.attack, ProportionalAttack):
+            return None
+        return np.where(self.view.attacked[..., self.view.channel_sensor], self.attack.gain, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class Injection:
@@ -335,6 +342,22 @@ class ClosedLoopAttack(SingleAttack):
         """See `SingleAttack.act`."""
         own = own_sensors(self, scene, number)
         return Injection(np.zeros(own.shape), own.attacked, (Reaction(self, everything(scene, own)),))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProportionalAttack(ClosedLoopAttack):
+    """A closed-loop adversary that answers in proportion: a = gain (y - expected), y the clean reading.
+
+    The loop over time then runs in the kernels.
+    """
+
+    #: Factor of the difference.
+    gain: ClassVar[float]
+
+    @final
+    def react(self, view: Everything, k: int, expected: Float) -> Float:
+        """See `ClosedLoopAttack.react`."""
+        return self.gain * (view.y[:, k] - expected)
 
 
 def own_sensors(attack: SingleAttack, scene: Scene, number: int) -> OwnSensors:

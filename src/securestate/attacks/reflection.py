@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from securestate._local_filters import LocalFilter, local_filters
 from securestate.attacks._arguments import choice
-from securestate.attacks.base import ClosedLoopAttack, Everything, Float, PlantAttack, PlantKnowledge
+from securestate.attacks.base import Float, PlantAttack, PlantKnowledge, ProportionalAttack
 
 About = Literal["local", "clean-local"]
 
@@ -70,7 +70,7 @@ class Reflection(PlantAttack):
 
 @final
 @dataclass(frozen=True)
-class DefenderReflection(ClosedLoopAttack):
+class DefenderReflection(ProportionalAttack):
     """a = -2 (y - what the defender's filter expects), at every sample while it happens.
 
     Args:
@@ -84,9 +84,7 @@ class DefenderReflection(ClosedLoopAttack):
         <Knowledge.DEFENDER: 'everything, and what the defender expects'>
     """
 
-    def react(self, view: Everything, k: int, expected: Float) -> Float:
-        """See `ClosedLoopAttack.react`."""
-        return -2.0 * (view.y[:, k] - expected)
+    gain = -2.0
 
 
 def _alike(

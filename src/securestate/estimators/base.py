@@ -95,6 +95,29 @@ class Filter(_kernels.Filter):
         y = y if batch else y[np.newaxis]
         return _advance(self, self._estimator, y, u, covariance=covariance, batch=batch)
 
+    def run_against(
+        self, clean: Float, opened: Float, gain: Float, u: Float, mean: Float, *, covariance: bool = True
+    ) -> tuple[Run, Float]:
+        """Run against adversaries that answer in proportion to what this filter expects.
+
+            y[k] = opened[k] + gain[k] (clean[k] - expected[k])
+
+        Args:
+            clean: what the sensors measure, (runs, T, m), sensor units.
+            opened: the same with all other injections; NaN marks a missing channel.
+            gain: (runs, T, m), zero where nobody reacts.
+            u: inputs, (runs, T, p), file units.
+            mean: x[0|-1], (n,), from which this filter was started.
+        Returns:
+            The run, a batch, and y (runs, T, m).
+        """
+        plant = self._estimator.plant
+        means = np.ascontiguousarray(np.broadcast_to(mean, (len(clean), plant.n)))
+        matrices = plant.A, plant.B, plant.C, plant.D
+        arrays, y = self.react(clean, opened, gain, u, means, matrices, covariance)
+        _warn_of_missing(self._estimator, y)
+        return _run(self._estimator, arrays), y
+
 
 class Estimator:
     """Base of all estimators; subclasses only design a kernel.
@@ -227,15 +250,24 @@ def _floats(name: str, values: ArrayLike) -> Float:
 
 def _advance(bank: Filter, estimator: Estimator, y: Float, u: Float, *, covariance: bool, batch: bool) -> Run:
     """Run the kernel and name what it returns."""
+    _warn_of_missing(estimator, y)
+    arrays: dict[str, Any] = bank.advance(y, u, y.shape[1], covariance)
+    if not batch:
+        arrays = {name: array[0] for name, array in arrays.items()}
+    return _run(estimator, arrays)
+
+
+def _warn_of_missing(estimator: Estimator, y: Float) -> None:
     missing = float(np.isnan(y).mean())
     if estimator.missing_limit is not None and missing > estimator.missing_limit:
         message = f"{missing:.0%} of the samples are missing; {estimator.name} is a steady-state filter"
         warnings.warn(
-            f"{message}, use one that varies in time (KalmanFilter)", SecurestateWarning, stacklevel=3
+            f"{message}, use one that varies in time (KalmanFilter)", SecurestateWarning, stacklevel=4
         )
-    arrays: dict[str, Any] = bank.advance(y, u, y.shape[1], covariance)
-    if not batch:
-        arrays = {name: array[0] for name, array in arrays.items()}
+
+
+def _run(estimator: Estimator, arrays: dict[str, Any]) -> Run:
+    """Name the arrays of a kernel."""
     numbers = arrays.pop("diagnostics")
     names = estimator.kernel.diagnostics
     return Run(

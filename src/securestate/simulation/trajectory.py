@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from securestate.attacks.base import Reaction
 from securestate.errors import InputError
 from securestate.estimators import Estimator, OracleFilter, Run
-from securestate.estimators.oracle import LiveOracle
 from securestate.plant import Belief, Plant
 
 Float = NDArray[np.float64]
@@ -74,28 +73,60 @@ class Trajectory:
         if estimator.plant is not self.plant and estimator.plant != self.plant:
             raise InputError("estimator", f"one for {self.plant!r}", f"one for {estimator.plant!r}")
         if self.reactions:
-            return self._react(estimator, covariance=covariance)
+            return self._close_loop(estimator, covariance=covariance)
         u = self.u if self.plant.n_inputs else None
         if isinstance(estimator, OracleFilter):
             return estimator.run(self.y, u, self.prior, attacked=self.attacked, covariance=covariance), self
         return estimator.run(self.y, u, self.prior, covariance=covariance), self
 
-    def _react(self, estimator: Estimator | OracleFilter, *, covariance: bool) -> tuple[Run, Trajectory]:
-        """Sample by sample: what the defender expects, what adversaries make of it, what it does."""
-        plant, several = self.plant, self.plant.n_inputs > 0
+    @property
+    def _start(self) -> Float:
+        """x[0|-1], (n,), from which every estimator starts."""
+        return np.zeros(self.plant.n) if self.prior is None else self.prior.x
+
+    def _close_loop(self, estimator: Estimator | OracleFilter, *, covariance: bool) -> tuple[Run, Trajectory]:
+        """Who reacts in proportion does so in the kernels; to the oracle, which hears none, beforehand."""
+        if isinstance(estimator, OracleFilter):
+            met = self._met(self._reactions_to(estimator))
+            return met.confront(estimator, covariance=covariance)
+        gains = [one for reaction in self.reactions if (one := reaction.gain) is not None]
+        if len(gains) < len(self.reactions):
+            return self._step_by_step(estimator, covariance=covariance)
         live = estimator.start(self.prior, runs=self.runs)
-        x = np.broadcast_to(0.0 if self.prior is None else self.prior.x, (self.runs, 1, plant.n))
+        gain: Float = np.sum(gains, axis=0)
+        run, y = live.run_against(self.clean, self.y, gain, self.u, self._start, covariance=covariance)
+        return run, self._met(y - self.clean)
+
+    def _reactions_to(self, oracle: OracleFilter) -> Float:
+        """All injections when the oracle is the defender, (runs, T, m)."""
+        u = self.u if self.plant.n_inputs else None
+        run = oracle.run(self.y, u, self.prior, attacked=self.attacked, covariance=False)
+        before = np.broadcast_to(self._start, (self.runs, 1, self.plant.n))
+        x = np.concatenate([before, self.plant.successor(run.x, self.u)[:, :-1]], axis=1)
+        expected, a = self.plant.reading(x, self.u), self.a.copy()
+        for k in range(self.steps):
+            for reaction in self.reactions:
+                a[:, k] += reaction(k, expected[:, k])
+        return a
+
+    def _step_by_step(self, estimator: Estimator, *, covariance: bool) -> tuple[Run, Trajectory]:
+        """What the defender expects, what adversaries make of it, what the defender makes of that."""
+        plant = self.plant
+        live, x = (
+            estimator.start(self.prior, runs=self.runs),
+            np.broadcast_to(self._start, (self.runs, 1, plant.n)),
+        )
         a, blocks = self.a.copy(), []
         for k in range(self.steps):
             now = slice(k, k + 1)
             expected = plant.reading(x, self.u[:, now], k)[:, 0]
             for reaction in self.reactions:
                 a[:, k] += reaction(k, expected)
-            y, u = self.clean[:, now] + a[:, now], self.u[:, now] if several else None
-            if isinstance(live, LiveOracle):
-                run = live.run(y, u, attacked=self.attacked[:, now], covariance=covariance)
-            else:
-                run = live.run(y, u, covariance=covariance)
-            blocks.append(run)
-            x = plant.successor(run.x, self.u[:, now], k)
-        return Run.concat(blocks), replace(self, y=self.clean + a, a=a, reactions=())
+            u = self.u[:, now] if plant.n_inputs else None
+            blocks.append(live.run(self.clean[:, now] + a[:, now], u, covariance=covariance))
+            x = plant.successor(blocks[-1].x, self.u[:, now], k)
+        return Run.concat(blocks), self._met(a)
+
+    def _met(self, a: Float) -> Trajectory:
+        """This trajectory with all injections known."""
+        return replace(self, y=self.clean + a, a=a, reactions=())
