@@ -5,6 +5,8 @@ from typing import Any, Self, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from securestate.plant import Plant
+
 _Float = NDArray[np.float64]
 
 __all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "detector", "kalman", "simulate", "sparse_fusion"]
@@ -31,7 +33,7 @@ class Filter:
         gain: _Float,
         u: _Float,
         means: _Float,
-        plant: tuple[_Float, _Float, _Float, _Float],
+        plant: Plant,
         covariance: bool,
     ) -> tuple[dict[str, NDArray[Any]], _Float]: ...
     def save(self) -> bytes: ...
@@ -65,45 +67,17 @@ class PenaltySolver:
     def solve(self, linear: _Float, energy: float) -> tuple[_Float, int, float]: ...
 
 def sparse_fusion(design: dict[str, object]) -> Kernel: ...
-def kalman(
-    a: _Float,
-    b: _Float,
-    c: _Float,
-    d: _Float,
-    q: _Float,
-    r: _Float,
-    channel_sensor: list[int],
-    n_sensors: int,
-    prior: _Float | None,
-    offset: _Float,
-    scale: _Float,
-    input_offset: _Float,
-    input_scale: _Float,
-) -> Kernel: ...
+def kalman(plant: Plant, prior: _Float | None) -> Kernel: ...
 def detector(
-    a: _Float,
-    b: _Float,
-    c: _Float,
-    d: _Float,
-    q: _Float,
-    r: _Float,
-    channel_sensor: list[int],
-    n_sensors: int,
+    plant: Plant,
     prior: _Float | None,
-    offset: _Float,
-    scale: _Float,
-    input_offset: _Float,
-    input_scale: _Float,
     *,
     rule: str,
     quantiles: _Float,
     local: list[tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float]],
 ) -> Kernel: ...
 def simulate(
-    a: _Float,
-    b: _Float,
-    c: _Float,
-    d: _Float,
+    plant: Plant,
     q: _Float,
     r: _Float,
     feedback: _Float | None,

@@ -3,8 +3,7 @@
 use numpy::{Element, PyArray1, PyArrayMethods, PyReadonlyArrayDyn, PyUntypedArrayMethods};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
-use securestate_kernels::kalman::model::{Matrices, Model};
-use securestate_kernels::{Record, Units};
+use securestate_kernels::Record;
 
 use crate::errors::to_python;
 
@@ -25,50 +24,6 @@ pub fn slice<'a>(name: &'static str, array: &'a Array<'_>) -> PyResult<&'a [f64]
 /// A copy of the numbers of a contiguous array.
 pub fn owned(name: &'static str, array: &Array<'_>) -> PyResult<Vec<f64>> {
     Ok(slice(name, array)?.to_vec())
-}
-
-/// How a plant moves and what its sensors see, without its noise.
-pub fn motion(
-    a: &Array<'_>,
-    b: &Array<'_>,
-    c: &Array<'_>,
-    d: &Array<'_>,
-    states: usize,
-    channels: usize,
-) -> PyResult<Model> {
-    let matrices = Matrices {
-        states,
-        a: owned("A", a)?,
-        b: owned("B", b)?,
-        c: owned("C", c)?,
-        d: owned("D", d)?,
-        q: identity(states),
-        r: identity(channels),
-        channel_sensor: (0..channels).collect(),
-        sensors: channels,
-    };
-    Model::new(matrices).map_err(to_python)
-}
-
-fn identity(size: usize) -> Vec<f64> {
-    let mut unit = vec![0.0; size * size];
-    unit.iter_mut().step_by(size + 1).for_each(|value| *value = 1.0);
-    unit
-}
-
-/// The operating point from its four arrays.
-pub fn units(
-    offset: &Array<'_>,
-    scale: &Array<'_>,
-    input_offset: &Array<'_>,
-    input_scale: &Array<'_>,
-) -> PyResult<Units> {
-    Ok(Units {
-        offset: owned("offset", offset)?,
-        scale: owned("scale", scale)?,
-        input_offset: owned("input_offset", input_offset)?,
-        input_scale: owned("input_scale", input_scale)?,
-    })
 }
 
 /// The arrays of a record by name, shape (runs, steps, …); read-only where all runs share one copy.

@@ -15,6 +15,7 @@ use crate::arrays::{self, Array};
 use crate::errors::to_python;
 use crate::estimate::Estimate;
 use crate::kernel::Kernel;
+use crate::plant;
 
 /// Samples between two looks at the keyboard.
 const BLOCK: usize = 1024;
@@ -87,7 +88,7 @@ impl Filter {
 
     /// Every run against adversaries that answer in proportion to what the filter expects: y[k] = opened[k] +
     /// gain[k] (clean[k] − expected[k]). `clean`, `opened`, `gain` (runs, steps, m), `u` (runs, steps, p), `means`
-    /// (runs, n), `plant` A, B, C, D. Returns arrays by name, and y (runs, steps, m).
+    /// (runs, n), `plant` the `Plant`. Returns arrays by name, and y (runs, steps, m).
     #[allow(clippy::too_many_arguments)]
     fn react<'py>(
         &mut self,
@@ -97,12 +98,12 @@ impl Filter {
         gain: Array<'_>,
         u: Array<'_>,
         means: Array<'_>,
-        plant: (Array<'_>, Array<'_>, Array<'_>, Array<'_>),
+        plant: &Bound<'py, PyAny>,
         covariance: bool,
     ) -> PyResult<(Bound<'py, PyDict>, Bound<'py, PyArrayDyn<f64>>)> {
         let (dims, names) = (self.kernel.dims(), self.kernel.diagnostics().len());
         let steps = clean.shape().get(1).copied().unwrap_or(0);
-        let model = arrays::motion(&plant.0, &plant.1, &plant.2, &plant.3, dims.states, dims.channels)?;
+        let model = plant::model(plant)?;
         let reaction = Reaction {
             model: &model,
             clean: arrays::slice("clean", &clean)?,

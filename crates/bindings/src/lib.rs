@@ -9,6 +9,7 @@ mod estimate;
 mod filter;
 mod kalman;
 mod kernel;
+mod plant;
 mod simulation;
 mod sparse_fusion;
 

@@ -7,20 +7,17 @@ use securestate_kernels::simulation::{Batch, Simulation};
 
 use crate::arrays::{self, Array};
 use crate::errors::to_python;
+use crate::plant;
 
-/// Turn standard normal numbers into trajectories, in place. `a` (n, n) or (T, n, n), `b` (n, p), `c` (m, n) or
-/// (T, m, n), `d` (m, p); `q` (n, n) and `r` (m, m) are square roots of Q and R; `feedback` −L (p, n) or None.
-/// `x` (runs, T, n) holds x[0], w[0], w[1], …, `u` (runs, T, p) the input without feedback, `y` (runs, T, m) v;
-/// `noise` (runs, T, m) receives what y holds of the noise.
+/// Turn standard normal numbers into trajectories of a `Plant`, in place. `q` (n, n) and `r` (m, m) are square roots of
+/// Q and R; `feedback` −L (p, n) or None. `x` (runs, T, n) holds x[0], w[0], w[1], …, `u` (runs, T, p) the input without
+/// feedback, `y` (runs, T, m) v; `noise` (runs, T, m) receives what y holds of the noise.
 #[pyfunction]
-#[pyo3(signature = (a, b, c, d, q, r, feedback, x, u, y, noise))]
+#[pyo3(signature = (plant, q, r, feedback, x, u, y, noise))]
 #[allow(clippy::too_many_arguments)]
 pub fn simulate(
     py: Python<'_>,
-    a: Array<'_>,
-    b: Array<'_>,
-    c: Array<'_>,
-    d: Array<'_>,
+    plant: &Bound<'_, PyAny>,
     q: Array<'_>,
     r: Array<'_>,
     feedback: Option<Array<'_>>,
@@ -29,14 +26,11 @@ pub fn simulate(
     mut y: PyReadwriteArrayDyn<'_, f64>,
     mut noise: PyReadwriteArrayDyn<'_, f64>,
 ) -> PyResult<()> {
-    let (n, m) = (q.shape().first().copied().unwrap_or(0), r.shape().first().copied().unwrap_or(0));
-    let model = arrays::motion(&a, &b, &c, &d, n, m)?;
     let feedback = feedback.as_ref().map(|l| arrays::owned("feedback", l)).transpose()?.unwrap_or_default();
-    let simulation = Simulation::new(model, arrays::owned("Q", &q)?, arrays::owned("R", &r)?, feedback)
-        .map_err(to_python)?;
-    let steps = x.shape().get(1).copied().unwrap_or(0);
+    let roots = (arrays::owned("Q", &q)?, arrays::owned("R", &r)?);
+    let simulation = Simulation::new(plant::model(plant)?, roots.0, roots.1, feedback).map_err(to_python)?;
     let batch = Batch {
-        steps,
+        steps: x.shape().get(1).copied().unwrap_or(0),
         x: mutable("x", &mut x)?,
         u: mutable("u", &mut u)?,
         y: mutable("y", &mut y)?,

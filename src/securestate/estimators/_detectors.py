@@ -14,7 +14,7 @@ from securestate import _kernels
 from securestate._local_filters import LocalFilter
 from securestate._steady_state import SteadyState
 from securestate.errors import InputError
-from securestate.estimators.kalman import kernel_arguments
+from securestate.estimators.kalman import prior_covariance
 from securestate.plant import Plant
 
 Float = NDArray[np.float64]
@@ -49,7 +49,8 @@ def kernel(
     """The Kalman filter of `plant` with a rule; `filters` are those of the sensors, if the rule asks them."""
     local = [(f.T, f.A, f.B, f.C, f.D, f.gain, f.innovation_cov) for f in filters]
     return _kernels.detector(
-        *kernel_arguments(plant, steady),
+        plant,
+        prior_covariance(steady),
         rule=rule,
         quantiles=quantiles(plant.m, false_alarm_rate),
         local=[tuple(map(np.ascontiguousarray, matrices)) for matrices in local],  # type: ignore[misc]

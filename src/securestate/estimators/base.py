@@ -113,8 +113,7 @@ class Filter(_kernels.Filter):
         """
         plant = self._estimator.plant
         means = np.ascontiguousarray(np.broadcast_to(mean, (len(clean), plant.n)))
-        matrices = plant.A, plant.B, plant.C, plant.D
-        arrays, y = self.react(clean, opened, gain, u, means, matrices, covariance)
+        arrays, y = self.react(clean, opened, gain, u, means, plant, covariance)
         _warn_of_missing(self._estimator, y)
         return _run(self._estimator, arrays), y
 

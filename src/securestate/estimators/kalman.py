@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeAlias, final
+from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +13,7 @@ from securestate.errors import DesignError, InputError
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
 
-Float: TypeAlias = NDArray[np.float64]
-#: A, B, C, D, Q, R; owner of every channel, N; P[k|k-1] of the steady state; operating point.
-KernelArguments: TypeAlias = tuple[
-    Float, Float, Float, Float, Float, Float, list[int], int, Float | None, Float, Float, Float, Float
-]
+Float = NDArray[np.float64]
 
 
 @final
@@ -60,7 +56,7 @@ class KalmanFilter(Estimator):
 
     def __init__(self, plant: Plant) -> None:
         self.steady, self.no_steady_state = steady_or_reason(plant)
-        super().__init__(plant, _kernels.kalman(*kernel_arguments(plant, self.steady)), {})
+        super().__init__(plant, _kernels.kalman(plant, prior_covariance(self.steady)), {})
 
 
 def steady_or_reason(plant: Plant) -> tuple[SteadyState | None, str]:
@@ -77,18 +73,6 @@ def steady_or_reason(plant: Plant) -> tuple[SteadyState | None, str]:
         return None, str(reason)
 
 
-def kernel_arguments(plant: Plant, steady: SteadyState | None) -> KernelArguments:
-    """What the kernels of the Kalman filter and of those built on it begin with."""
-    A, B, C, D, Q, R = (
-        np.ascontiguousarray(M) for M in (plant.A, plant.B, plant.C, plant.D, plant.Q, plant.R)
-    )
-    return (
-        *(A, B, C, D, Q, R),
-        plant.channel_sensor.tolist(),
-        plant.n_sensors,
-        None if steady is None else steady.P_prior,
-        plant.offset,
-        plant.scale,
-        plant.input_offset,
-        plant.input_scale,
-    )
+def prior_covariance(steady: SteadyState | None) -> Float | None:
+    """P[0|-1] of the steady state, as kernels take it."""
+    return None if steady is None else steady.P_prior

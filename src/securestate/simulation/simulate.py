@@ -108,8 +108,7 @@ class Simulator:
         x[:, 0] = self._mean + x[:, 0] @ self._root_P
         inputs = np.ascontiguousarray(plant.normalise_input(_inputs(u, plant, runs, self.steps)))
         noise = np.empty_like(y)
-        matrices = plant.A, plant.B, plant.C, plant.D
-        _kernels.simulate(*matrices, *self._roots, self._feedback, x, inputs, y, noise)
+        _kernels.simulate(plant, *self._roots, self._feedback, x, inputs, y, noise)
         known = plant.input_offset + plant.input_scale * inputs
         clean = plant.denormalise(y)
         scene = Scene(plant, x, known, plant.scale * noise, clean, lambda number: streams(ADVERSARY, number))
