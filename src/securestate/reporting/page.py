@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
@@ -65,3 +66,22 @@ def percent(share: float) -> str:
     if share in (0.0, 1.0):
         return f"{100 * share:.0f} %"
     return "&lt;0.1 %" if share < 0.001 else "&gt;99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
+
+
+def compact(value: float) -> str:
+    """A number in few digits.
+
+    Examples:
+        >>> [compact(v) for v in (1.0, 1.234, 23.45, 456.7, 12345.0, 1e50, 0.00123, 0.0)]
+        ['1.00', '1.23', '23.4', '457', '1.2e4', '1e50', '1.2e-3', '0']
+        >>> compact(float("inf")), compact(float("nan"))
+        ('∞', '–')
+    """
+    if math.isnan(value):
+        return "–"
+    if math.isinf(value) or value == 0:
+        return "∞" if value else "0"
+    if 0.01 <= abs(value) < 999.5:
+        return f"{value:#.3g}".removesuffix(".")
+    mantissa, exponent = f"{value:.1e}".split("e")
+    return f"{mantissa.removesuffix('.0')}e{int(exponent)}"
