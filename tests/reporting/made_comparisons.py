@@ -57,7 +57,7 @@ def _cell(ratio: float | str, scenario: Scenario, sensors: int, spread: float) -
         return Cell(None, ratio, float("nan"))
     mse = ORACLE_MSE * ratio
     lies = 40.0 if scenario.attack else 0.0
-    run = {name: 0.0 for name in PER_RUN} | {
+    run = dict.fromkeys(PER_RUN, 0.0) | {
         "nees": 1.25, "nis": 0.75, "honest": 80.0 - lies, "false_alarms": 2.0, "lies": lies,
         "detections": lies / 4, "delay": 3.0 if scenario.attack else np.nan, "exact": 0.625,
     }  # fmt: skip

@@ -47,10 +47,17 @@ def test_the_headline_counts_the_scenarios_in_which_nobody_is_near(a: list[float
     assert headline(made_comparison({"a": a, "b": [9e50] * 4}, **FOUR)).endswith(said)
 
 
-def test_estimators_whose_intervals_overlap_are_named_together() -> None:
-    comparison = made_comparison({"a": [1.0, 1.20], "b": [1.0, 1.21], "c": [1.0, 2.0]}, spread=0.05)
-    assert headline(comparison).startswith("a and b come closest to the oracle: 1.10 and 1.10 times")
-    assert "named together where their 95 % intervals overlap" in render(comparison)
+def test_estimators_with_the_same_printed_mean_are_named_together() -> None:
+    comparison = made_comparison({"a": [1.0, 1.2100], "b": [1.0, 1.2101], "c": [1.0, 2.0]}, spread=0.0)
+    assert headline(comparison).startswith("a and b come closest to the oracle: 1.10 times its squared error")
+
+
+def test_it_is_said_whom_the_runs_do_not_tell_from_the_best() -> None:
+    ratios = {"a": [1.0, 1.2], "b": [1.0, 1.3], "c": [1.0, 9.0]}
+    assert "The runs do not tell a from b: 95 % intervals overlap." in render(
+        made_comparison(ratios, spread=0.1)
+    )
+    assert "The runs do not tell" not in render(made_comparison(ratios))
 
 
 def test_an_estimator_that_cannot_run_everywhere_is_not_above_one_that_does() -> None:
@@ -123,8 +130,8 @@ def test_the_matrix_shows_every_ratio_with_its_interval_and_marks_the_best() -> 
     html = render(comparison)
     assert rows_of(html, "Every scenario") == [
         ["tank"],
-        ["none", "2.00", "1.00 ★", "1.40"],
-        ["bias ✕ nothing works", "2.00", "123 ★", "1e50"],
+        ["none", "1.00 ★", "1.40", "2.00"],
+        ["bias ✕ nothing works", "123 ★", "1e50", "2.00"],
     ]
     low, high = (float(comparison.table[f"ratio_{end}"].sel(estimator="b")[0]) for end in ("low", "high"))
     assert f'class="shade1" title="b: 1.40 ({low:.2f} to {high:.2f}) times the oracle’s' in html

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from securestate.reporting import comparison_figures, comparison_tables
 from securestate.reporting.page import asset, count, definitions, paragraphs, write_page
 from securestate.reporting.standing import Standing
+from securestate.reporting.summary import enumerate_names
 
 if TYPE_CHECKING:
     from securestate.simulation import Comparison
@@ -73,8 +74,9 @@ def _remarks(comparison: Comparison, standing: Standing) -> list[str]:
     unmeasured = len(standing.ratio) - len(standing.measured)
     if unmeasured and standing.measured:
         remarks.append(f"In {count(unmeasured, 'scenario')} the oracle cannot run; they are left out here.")
-    if len(standing.leaders) > 1:
-        remarks.append("The best are named together where their 95 % intervals overlap.")
+    if standing.tied:
+        names = enumerate_names(standing.tied)
+        remarks.append(f"The runs do not tell {standing.ranked[0]} from {names}: 95 % intervals overlap.")
     if (comparison.table["runs"].max("estimator") == 1).any():
         remarks.append("A scenario with one run has no interval: differences there may be chance.")
     return remarks

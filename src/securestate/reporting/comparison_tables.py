@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from securestate.reporting.page import compact, count, percent, table
-from securestate.reporting.standing import FAR, NEAR, Standing
+from securestate.reporting.standing import FAR, NEAR, Standing, frame_of
 from securestate.simulation.comparison import MEANING
 
 if TYPE_CHECKING:
@@ -82,28 +82,28 @@ def ranking(comparison: Comparison, standing: Standing) -> str:
 
 
 def _ranked(comparison: Comparison, s: Standing, name: str, rank: str) -> str:
-    frame, ratio = comparison.ranking.loc[name], s.ratio[name]
-    known = ratio.notna().any()
+    ratio, speed = s.ratio[name], comparison.timing[name].median()
+    found = comparison.table["detection_rate"].sel(estimator=name)
     alarms = comparison.table["false_alarm_rate"].sel(estimator=name)
     attacked = comparison.table["attacked"]
     cells = (
         compact(s.mean[name]),
-        compact(frame["worst"]),
-        escape(ratio.idxmax()) if known else "–",
+        compact(float(ratio.max())),
+        escape(str(ratio.idxmax())) if ratio.notna().any() else "–",
         f"{int((ratio <= NEAR).sum())} of {len(ratio)}",
         rate(float(alarms.where(~attacked).mean())),
         rate(float(alarms.where(attacked).mean())),
-        rate(frame["detection_rate"]),
-        compact(frame["microseconds"]),
+        rate(float(found.mean())),
+        compact(float(speed)),
         f"{int(ratio.notna().sum())} of {len(ratio)}",
     )
-    kind = "leader" if name in s.leaders else "unranked" if rank == "–" else ""
+    kind = "leader" if name in s.best else "unranked" if rank == "–" else ""
     return _ranking_row(kind, rank, escape(name), cells)
 
 
 def _yardstick(comparison: Comparison, s: Standing) -> str:
     cells = ("1", "–", "–", "–", "told", "told", "told")
-    speed = compact(comparison.ranking["microseconds"][s.oracle])
+    speed = compact(float(comparison.timing[s.oracle].median()))
     runs = f"{len(s.measured)} of {len(s.ratio)}"
     name = f'{escape(s.oracle)} <span class="tag">yardstick</span>'
     return _ranking_row("yardstick", "", name, (*cells, speed, runs))
@@ -132,9 +132,9 @@ def matrix(comparison: Comparison, standing: Standing) -> str:
                 float(comparison.table["mse"].sel(scenario=scenario, estimator=standing.oracle))
             )
             cells = "".join(_cell(comparison, standing, scenario, name, numbers) for name in order)
-            head = f'<th scope="row">{escape(labels[scenario])}{mark}</th>'
-            rows.append(f'<tr>{head}<td class="soft">{yardstick}</td>{cells}</tr>')
-    head = ("Adversary", "Oracle’s squared error", *(escape(name) for name in order))
+            label = f'<th scope="row">{escape(labels[scenario])}{mark}</th>'
+            rows.append(f'<tr>{label}{cells}<td class="soft">{yardstick}</td></tr>')
+    head = ("Adversary", *(escape(name) for name in order), "Oracle’s squared error")
     return scroll(table(head, rows), "Every scenario")
 
 
@@ -144,8 +144,8 @@ def _cell(
     one = comparison.table.sel(scenario=scenario, estimator=name)
     if reason := str(one["refusal"].item()):
         return f'<td class="refused">cannot run<sup>{numbers[name, reason]}</sup></td>'
-    ratio = s.ratio.loc[scenario, name]
-    best = " best" if compact(ratio) == compact(s.ratio.loc[scenario].min()) != "–" else ""
+    ratio = float(one["ratio"])
+    best = " best" if compact(ratio) == compact(float(s.ratio.T[scenario].min())) != "–" else ""
     title = f"{name}: {interval(one, 'ratio')} times the oracle’s; squared error {interval(one, 'mse')}"
     star = '<span class="star" aria-label="best"> ★</span>' if best else ""
     return f'<td class="{shade(ratio)}{best}" title="{escape(title)}">{compact(ratio)}{star}</td>'
@@ -170,10 +170,10 @@ def interval(cell: object, figure: str) -> str:
 def _refused(comparison: Comparison) -> list[tuple[tuple[str, str], list[str]]]:
     """Estimators and the reasons why they cannot run, each with the scenarios."""
     found: dict[tuple[str, str], list[str]] = {}
-    refusal = comparison.table["refusal"].to_pandas()
-    for name in refusal.columns:
-        for scenario in refusal.index[refusal[name] != ""]:
-            found.setdefault((name, refusal.loc[scenario, name]), []).append(scenario)
+    for name, reasons in frame_of(comparison, "refusal").items():
+        for scenario, reason in reasons.items():
+            if reason:
+                found.setdefault((str(name), reason), []).append(str(scenario))
     return list(found.items())
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -33,7 +34,7 @@ class Standing:
         ranked: estimators that run in all of these, best first.
         partial: the others.
         mean: geometric mean of the ratio over the scenarios where an estimator runs.
-        leaders: the best that is ranked and those whose 95 % interval of the mean overlaps with its own.
+        tied: ranked estimators that the runs do not tell from the best: their 95 % intervals overlap.
     """
 
     oracle: str
@@ -41,20 +42,25 @@ class Standing:
     measured: tuple[str, ...]
     ranked: tuple[str, ...]
     partial: tuple[str, ...]
-    mean: pd.Series[float]
-    leaders: tuple[str, ...]
+    mean: Mapping[str, float]
+    tied: tuple[str, ...]
 
     @classmethod
     def of(cls, comparison: Comparison) -> Standing:
         """Sort the estimators of a comparison; its first one is the oracle."""
         oracle, *others = comparison.table["estimator"].to_numpy().tolist()
-        ratio, order = comparison.table["ratio"].to_pandas(), comparison.ranking
+        ratio, order = frame_of(comparison, "ratio"), comparison.ranking
         measured = tuple(ratio.index[ratio[oracle].notna()])
         names = [name for name in order.index if name in others]
         ranked = tuple(n for n in names if measured and order["scenarios"][n] == len(measured))
         partial = tuple(n for n in names if n not in ranked)
-        leaders = _leaders(comparison, ranked, order["ratio"])
-        return cls(oracle, ratio[others], measured, ranked, partial, order["ratio"], leaders)
+        mean = {str(name): float(value) for name, value in order["ratio"].items()}
+        return cls(oracle, ratio[others], measured, ranked, partial, mean, _tied(comparison, ranked, mean))
+
+    @property
+    def best(self) -> tuple[str, ...]:
+        """The first of those that are ranked, with those whose mean looks the same in print."""
+        return tuple(n for n in self.ranked if compact(self.mean[n]) == compact(self.mean[self.ranked[0]]))
 
     def beyond(self, limit: float) -> tuple[str, ...]:
         """Scenarios in which no estimator comes within `limit` times the oracle's squared error."""
@@ -70,14 +76,22 @@ class Standing:
         return f"{_closest(self)} {_nobody(self)}".strip()
 
 
-def _leaders(comparison: Comparison, ranked: tuple[str, ...], mean: pd.Series[float]) -> tuple[str, ...]:
-    """Scenarios may share their noise, so the half widths are averaged as if they moved together."""
-    high, ratio = comparison.table["ratio_high"].to_pandas(), comparison.table["ratio"].to_pandas()
-    with np.errstate(all="ignore"):
-        factor = np.exp(np.log(high / ratio).mean(skipna=False)).fillna(1.0)
-    return tuple(
-        n for n in ranked if n == ranked[0] or mean[n] / factor[n] <= mean[ranked[0]] * factor[ranked[0]]
+def frame_of(comparison: Comparison, figure: str) -> pd.DataFrame:
+    """One figure, scenario by estimator."""
+    import pandas as pd
+
+    values = comparison.table[figure]
+    return pd.DataFrame(
+        values.to_numpy(), index=list(values["scenario"].values), columns=list(values["estimator"].values)
     )
+
+
+def _tied(comparison: Comparison, ranked: tuple[str, ...], mean: Mapping[str, float]) -> tuple[str, ...]:
+    """Scenarios may share their noise, so the half widths are averaged as if all moved together."""
+    with np.errstate(all="ignore"):
+        width = np.log(frame_of(comparison, "ratio_high") / frame_of(comparison, "ratio"))
+        factor = {name: float(np.exp(width[name].mean())) for name in ranked}
+    return tuple(n for n in ranked[1:] if mean[n] / factor[n] <= mean[ranked[0]] * factor[ranked[0]])
 
 
 def _closest(s: Standing) -> str:
@@ -92,12 +106,12 @@ def _closest(s: Standing) -> str:
     if not np.isfinite(s.mean[s.ranked[0]]):
         return f"Every estimator that runs in all of {scenarios} diverges in at least one."
     over = "" if len(s.measured) == 1 else f" in the geometric mean over {scenarios}"
-    times = f"{enumerate_names(tuple(compact(s.mean[n]) for n in s.leaders))} times"
+    times = f"{compact(s.mean[s.ranked[0]])} times"
     if len(s.ranked) == 1:
         only = f", the only estimator that runs in all {scenarios}," if s.partial else ""
         return f"{s.ranked[0]}{only} has {times} the oracle’s squared error{over if not only else ''}."
-    come = "comes" if len(s.leaders) == 1 else "come"
-    return f"{enumerate_names(s.leaders)} {come} closest to the oracle: {times} its squared error{over}."
+    come = "comes" if len(s.best) == 1 else "come"
+    return f"{enumerate_names(s.best)} {come} closest to the oracle: {times} its squared error{over}."
 
 
 def _nobody(s: Standing) -> str:
