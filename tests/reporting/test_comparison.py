@@ -211,6 +211,15 @@ def test_a_chart_labels_every_line_once_without_overlap_and_stays_inside() -> No
     assert "scored from 60" in svg
 
 
+def test_an_estimator_keeps_its_colour_where_another_one_cannot_run() -> None:
+    curves = {name: np.ones(9) for name in ("oracle", "a", "b")}
+    colour = '<polyline class="line c2"'
+    assert chart(curves, 0, "title").count(colour) == 1
+    without = chart(curves | {"a": np.ones(0)}, 0, "title")
+    assert without.count(colour) == 1
+    assert without.count("<polyline") == 2
+
+
 @pytest.mark.parametrize("value", [0.0, math.inf, 1.0])
 def test_odd_numbers_do_not_stop_a_chart(value: float) -> None:
     assert "nan" not in chart({"oracle": np.full(1, value)}, 0, "title")

@@ -73,11 +73,12 @@ def _charts(comparison: Comparison, scenarios: Sequence[str], labels: Mapping[st
     for name in scenarios:
         one = comparison.table.sel(scenario=name)
         curves = {
-            str(e): one["squared_error"].sel(estimator=e).to_numpy()[: int(one["steps"])]
+            str(e): one["squared_error"]
+            .sel(estimator=e)
+            .to_numpy()[: 0 if one["refusal"].sel(estimator=e).item() else int(one["steps"])]
             for e in one["estimator"].to_numpy()
-            if not str(one["refusal"].sel(estimator=e).item())
         }
-        if curves:
+        if any(curve.size for curve in curves.values()):
             drawing = chart(curves, int(one["score_from"]), f"Squared error over time: {name}")
             figures.append(f"<figure><figcaption>{escape(labels[name])}</figcaption>{drawing}</figure>")
     return f'<div class="charts">{"".join(figures)}</div>'

@@ -29,16 +29,18 @@ def chart(curves: Mapping[str, Float], scored_from: int, title: str) -> str:
     """One drawing as SVG; the first curve is the oracle's, dashed.
 
     Args:
-        curves: squared error of every sample by estimator, (T,), all of one length.
+        curves: squared error of every sample by estimator, (T,), all of one length; empty if it cannot run,
+            so that an estimator has the same colour in all drawings.
         scored_from: first sample that counts, marked if it is not the first.
         title: read to those who cannot see the drawing.
     """
     steps = max(curve.size for curve in curves.values())
-    reduced = {name: _reduce(curve) for name, curve in curves.items()}
+    kinds = {name: _kind(i) for i, name in enumerate(curves)}
+    reduced = {name: _reduce(curve) for name, curve in curves.items() if curve.size}
     low, high = _limits(reduced)
     heights = {name: _height(values, low, high) for name, values in reduced.items()}
-    lines = "".join(_line(y, i, steps) for i, y in enumerate(heights.values()))
-    labels = _labels({name: float(y[-1]) for name, y in heights.items()})
+    lines = "".join(_line(y, kinds[name], steps) for name, y in heights.items())
+    labels = _labels({name: float(y[-1]) for name, y in heights.items()}, kinds)
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">'
         f"{_grid(low, high)}{_time(steps, scored_from)}{lines}{labels}</svg>"
@@ -69,19 +71,19 @@ def _height(values: Float, low: int, high: int) -> Float:
     return height
 
 
-def _line(y: Float, number: int, steps: int) -> str:
+def _line(y: Float, kind: str, steps: int) -> str:
     """One line; its points stand in the middle of the samples they average."""
     edges = np.linspace(0, steps, y.size + 1)
     x = LEFT + (edges[:-1] + edges[1:] - 1) / 2 / max(steps - 1, 1) * (RIGHT - LEFT)
     points = " ".join(f"{a:.0f},{b:.1f}" for a, b in zip(x, y, strict=True))
-    return f'<polyline class="{_kind(number)}" points="{points}"/>'
+    return f'<polyline class="{kind}" points="{points}"/>'
 
 
 def _kind(number: int) -> str:
     return f"line c{1 + (number - 1) % COLOURS}" if number else "line oracle"
 
 
-def _labels(ends: Mapping[str, float]) -> str:
+def _labels(ends: Mapping[str, float], kinds: Mapping[str, str]) -> str:
     """Names beside the ends of their lines, pushed apart where they would overlap."""
     order = sorted(ends, key=lambda name: ends[name])
     places = np.array([ends[name] for name in order])
@@ -90,9 +92,8 @@ def _labels(ends: Mapping[str, float]) -> str:
     for i in range(places.size - 1, -1, -1):
         limit = BOTTOM if i == places.size - 1 else places[i + 1] - GAP
         places[i] = min(places[i], limit)
-    numbers = {name: i for i, name in enumerate(ends)}
     return "".join(
-        f'<line class="{_kind(numbers[name])}" x1="{RIGHT + 4}" y1="{y:.1f}" x2="{RIGHT + 18}" y2="{y:.1f}"/>'
+        f'<line class="{kinds[name]}" x1="{RIGHT + 4}" y1="{y:.1f}" x2="{RIGHT + 18}" y2="{y:.1f}"/>'
         f'<text x="{RIGHT + 22}" y="{y + 4:.1f}">{escape(_short(name))}</text>'
         for name, y in zip(order, places, strict=True)
     )
