@@ -9,17 +9,16 @@ import os
 from collections.abc import Sequence
 from functools import lru_cache
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
 from plotly.offline import get_plotlyjs
 
-from securestate._files import whole_file
 from securestate.reporting import tables
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
+from securestate.reporting.page import asset, paragraphs, write_page
 from securestate.reporting.payload import pack_bytes
 from securestate.reporting.summary import Summary, enumerate_names, summarise
 
@@ -51,11 +50,7 @@ def write_report(
         InputError: names `run` if it is a batch of runs or holds no sample.
         OSError: the file cannot be written; nothing is left behind.
     """
-    target = Path(path)
-    text = render(run, title=title, source=source, notes=notes)
-    with whole_file(target) as part:
-        part.write_text(text, encoding="utf-8", newline="\n")
-    return target
+    return write_page(render(run, title=title, source=source, notes=notes), path)
 
 
 def render(
@@ -68,17 +63,17 @@ def render(
     """The report as text; arguments as for `write_report`."""
     summary, clock = summarise(run), Clock.of(run)
     blocks = pack_run(run, clock)
-    script = "\n".join(_asset(name) for name in SCRIPTS)
+    script = asset(*SCRIPTS)
     data = {f"data-{name}": text for name, (_, text) in blocks.items()} | {"plotly": _plotly()}
     elements = (f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items())
-    return Template(_asset("report.html")).substitute(
+    return Template(asset("report.html")).substitute(
         policy=_policy(script),
-        style=_asset("report.css"),
+        style=asset("page.css", "report.css"),
         script=script,
         title=escape(title or f"Sensor report: {summary.plant}".removesuffix(": ")),
         verdict=tables.headline(summary),
         tone="alarm" if summary.liars else "calm",
-        remarks=_paragraphs([*_remarks(summary), *notes]),
+        remarks=paragraphs([*_remarks(summary), *notes]),
         facts=tables.facts(run, summary, clock, source),
         sensors=tables.sensors(summary, clock),
         statuses=tables.statuses(summary),
@@ -97,14 +92,6 @@ def _remarks(summary: Summary) -> list[str]:
     if bad:
         remarks.append(f"{bad:,} of {summary.samples:,} samples have a status other than OK; see Status.")
     return remarks
-
-
-def _paragraphs(sentences: Sequence[str]) -> str:
-    return "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences)
-
-
-def _asset(name: str) -> str:
-    return files("securestate.reporting").joinpath("assets", name).read_text(encoding="utf-8")
 
 
 @lru_cache(maxsize=1)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from securestate.reporting.blocks import channel_noise
 from securestate.reporting.clock import Clock
+from securestate.reporting.page import count, definitions, percent, table
 from securestate.reporting.summary import Moment, SensorSummary, Summary
 
 if TYPE_CHECKING:
@@ -22,20 +23,16 @@ HEAD = ("Sensor", "Verdict", "Suspected", "Lies since", "First alarm", "Estimate
 def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[str] | None) -> str:
     """What was run, as a definition list."""
     p = run.plant
-    counts = ((p.n, "state"), (p.n_sensors, "sensor"), (p.m, "channel"), (p.n_inputs, "input"))
+    sizes = ((p.n, "state"), (p.n_sensors, "sensor"), (p.m, "channel"), (p.n_inputs, "input"))
     rows = {
         "Plant": summary.plant or "unnamed",
         "Data": "" if source is None else os.fspath(source),
         "Estimator": summary.estimator,
         "Samples": f"{summary.samples:,}",
         "Time": clock.span,
-        "Size": ", ".join(_count(*c) for c in counts if c[0]),
+        "Size": ", ".join(count(*c) for c in sizes if c[0]),
     }
-    return "".join(f"<div><dt>{k}</dt><dd>{escape(v)}</dd></div>" for k, v in rows.items() if v)
-
-
-def _count(number: int, noun: str) -> str:
-    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+    return definitions(rows)
 
 
 def headline(summary: Summary) -> str:
@@ -71,13 +68,13 @@ def _notable(told: Sequence[SensorSummary], clock: Clock) -> str:
         _row(head, [row[k] for k in used], "liar" if s.lies else "")
         for s, row in zip(told, cells, strict=True)
     ]
-    return _table(head, rows) if rows else ""
+    return table(head, rows) if rows else ""
 
 
 def _quiet(quiet: Sequence[SensorSummary], *, everyone: bool) -> str:
     if not quiet:
         return ""
-    label = f"No alarm from {'any sensor' if everyone else _count(len(quiet), 'other sensor')}"
+    label = f"No alarm from {'any sensor' if everyone else count(len(quiet), 'other sensor')}"
     ends = [","] * (len(quiet) - 1) + ["."]
     names = " ".join(f"<span>{_name(s)}{end}</span>" for s, end in zip(quiet, ends, strict=True))
     return f'<p class="quiet"><b>{label}:</b> {names}</p>'
@@ -114,15 +111,7 @@ def _moment(moment: Moment | None, clock: Clock) -> str:
 
 
 def _share(share: float) -> str:
-    """A share in per cent.
-
-    Examples:
-        >>> [_share(s) for s in (0.0, 0.0001, 0.123, 0.9999, 1.0)]
-        ['', '&lt;0.1 %', '12.3 %', '&gt;99.9 %', '100 %']
-    """
-    if share in (0.0, 1.0):
-        return "100 %" if share else ""
-    return "&lt;0.1 %" if share < 0.001 else "&gt;99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
+    return percent(share) if share else ""
 
 
 def _known_injections(s: SensorSummary) -> Iterable[str]:
@@ -209,7 +198,7 @@ def _settings(run: Run) -> Iterable[tuple[str, str]]:
 
 
 def _plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return _table(head, [_row(head, cells) for cells in rows])
+    return table(head, [_row(head, cells) for cells in rows])
 
 
 def _row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
@@ -219,8 +208,3 @@ def _row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
         for h, c in zip(head, cells, strict=True)
     )
     return f'<tr class="{kind}">{"".join(columns)}</tr>'
-
-
-def _table(head: Sequence[str], rows: Sequence[str]) -> str:
-    titles = "".join(f'<th scope="col">{h}</th>' for h in head)
-    return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(rows)}</tbody></table>"

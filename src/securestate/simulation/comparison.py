@@ -59,8 +59,8 @@ class Comparison:
     Attributes:
         table: xarray Dataset over (scenario, estimator) with the variables of `MEANING`, `refusal` (empty, or
             why an estimator could not run) and `squared_error` over time (scenario, estimator, time), the
-            mean over runs. Coordinates `plant`, `attack`, `steps`, `score_from` and `seed` of the scenarios.
-            The same for any number of workers, to the bit.
+            mean over runs. Coordinates `plant`, `attack`, `attacked` (whether there is an adversary at all),
+            `steps`, `score_from` and `seed` of the scenarios. The same for any number of workers, to the bit.
         sensors: pandas DataFrame, one row per scenario, estimator and sensor: counts and rates.
         timing: pandas DataFrame (scenario, estimator), microseconds per step of one filter on one thread, the
             fastest of a few; it depends on the machine and its load.
@@ -183,6 +183,7 @@ def _table(
         "time": np.arange(steps),
         "plant": ("scenario", [scenario.plant_name for scenario in scenarios]),
         "attack": ("scenario", [scenario.attack_name for scenario in scenarios]),
+        "attacked": ("scenario", [scenario.attack is not None for scenario in scenarios]),
         "steps": ("scenario", [scenario.steps for scenario in scenarios]),
         "score_from": ("scenario", [scenario.score_from for scenario in scenarios]),
         "seed": ("scenario", [scenario.seed for scenario in scenarios]),
@@ -204,7 +205,8 @@ def _sensors(
                 counts = dict(zip(PER_SENSOR, scores.per_sensor.astype(np.int64), strict=True))
                 head = {"scenario": scenario.name, "estimator": name, "sensor": list(sensors)}
                 parts.append(pd.DataFrame(head | counts))
-    frame = pd.concat(parts, ignore_index=True)
+    nobody = pd.DataFrame(columns=["scenario", "estimator", "sensor", *PER_SENSOR])
+    frame = pd.concat(parts, ignore_index=True) if parts else nobody
     frame["false_alarm_rate"] = frame["false_alarms"] / frame["honest"].where(frame["honest"] > 0)
     frame["detection_rate"] = frame["detections"] / frame["lies"].where(frame["lies"] > 0)
     return frame

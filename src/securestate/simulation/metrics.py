@@ -177,7 +177,12 @@ def summarise_scores(scores: Scores, oracle: Scores | None) -> Mapping[str, floa
     with np.errstate(all="ignore"):
         mse = float(run["mse"].mean())
         half = quantile * float(run["mse"].std(ddof=1)) / np.sqrt(runs) if runs > 1 else np.nan
-        figures = {"mse": mse, "mse_low": mse - half, "mse_high": mse + half, "runs": float(runs)}
+        figures = {
+            "mse": mse,
+            "mse_low": max(mse - half, 0.0) if runs > 1 else np.nan,
+            "mse_high": mse + half,
+            "runs": float(runs),
+        }
         figures |= _ratio(run["mse"], oracle, quantile)
         sums = {name: float(run[name].sum()) for name in PER_SENSOR}
         delays = run["delay"][~np.isnan(run["delay"])]
