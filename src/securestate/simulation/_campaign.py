@@ -11,9 +11,10 @@ from typing import Any
 
 from securestate._checks import whole_number
 from securestate.errors import InputError
+from securestate.simulation._identity import code_key, digest
 from securestate.simulation._store import Kept, Store
 from securestate.simulation._work import GROUP, Done, Task, groups_of, work
-from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
+from securestate.simulation.scenario import Recipe, Scenario
 
 #: Groups of a task at most, so that the last tasks do not take long while other workers wait.
 BUNDLE = 10

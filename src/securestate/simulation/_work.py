@@ -14,8 +14,9 @@ from threadpoolctl import threadpool_limits
 from securestate.errors import SecurestateError
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Plant
+from securestate.simulation._identity import code_key, digest
 from securestate.simulation.metrics import Scores, score
-from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
+from securestate.simulation.scenario import Recipe, Scenario
 from securestate.simulation.simulate import Simulator
 from securestate.simulation.trajectory import Trajectory
 

@@ -106,7 +106,7 @@ def campaign(
             raise InputError(argument, "names that differ", f"{', '.join(sorted(twice))} more than once")
     if not scenarios:
         raise InputError("scenarios", "one at least", "none")
-    store = _open(out, recipes)
+    store = _open(out, scenarios, recipes)
     try:
         finish(scenarios, recipes, store, workers=workers, dask=dask, progress=progress)
         cells = {(s.name, r.name): _cell(s, store.get(cell_key(s, r))) for s in scenarios for r in recipes}
@@ -156,17 +156,23 @@ def _attack_name(attack: Attack | None) -> str:
     return "none" if attack is None else " + ".join(type(part).__name__ for part in attack.parts)
 
 
-def _open(out: str | os.PathLike[str] | None, recipes: Sequence[Recipe]) -> Store:
+def _open(
+    out: str | os.PathLike[str] | None, scenarios: Sequence[Scenario], recipes: Sequence[Recipe]
+) -> Store:
     if out is None:
         return MemoryStore()
+    known = "that can be recognised in another process, because out is given (no lambda, no local function)"
     for recipe in recipes:
         if not recipe.stable:
-            raise InputError(
-                "estimators", "functions that can be imported, because out is given", f"{recipe.name!r}"
-            )
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    return FileStore(folder)
+            raise InputError("estimators", f"functions and settings {known}", repr(recipe.name))
+    for scenario in scenarios:
+        if not scenario.stable:
+            raise InputError("scenarios", f"adversaries and families {known}", repr(scenario.name))
+    try:
+        Path(out).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("out", "a folder that can be written", str(error)) from None
+    return FileStore(Path(out))
 
 
 def _cell(scenario: Scenario, kept: Sequence[Kept]) -> Cell:
