@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from securestate._checks import describe
 from securestate.attacks.base import Attack
 from securestate.errors import InputError
 from securestate.estimators import METHODS, Estimator, OracleFilter
@@ -57,12 +58,15 @@ def compare(
         prior: belief about x[0], for the truth and for every estimator.
         workers: threads (processes with `dask="local"`); default: one per core.
         dask: "local" for a cluster of processes on this machine, or the address of a dask scheduler.
-        out: folder that keeps what is computed; a comparison that was interrupted goes on from there.
+        out: folder that keeps what is computed; a comparison that was interrupted goes on from there. What is
+            kept counts for this version of the package, and for functions and adversaries of your own as long
+            as their own source stays the same, whatever they call.
         progress: called with the number of groups of runs done and of all.
     Returns:
         Comparison: a labelled table, figures, and what could not run and why.
     Raises:
         InputError: naming the argument, expected and received.
+        DesignError: a plant under an adversary cannot be simulated; names the scenario.
     Examples:
         >>> from securestate.attacks import Bias
         >>> from securestate.plant import Sensor
@@ -119,6 +123,8 @@ def recipes_of(estimators: Estimators) -> list[Recipe]:
     """Recipes from names of methods, classes and functions."""
     if isinstance(estimators, Mapping):
         return [_recipe(name, design) for name, design in estimators.items()]
+    if not isinstance(estimators, list | tuple):
+        raise InputError("estimators", "a list, or several by name", describe(estimators))
     return [_recipe(None, design) for design in estimators]
 
 
@@ -143,7 +149,9 @@ def _plants(plant: AnyPlant | Mapping[str, AnyPlant]) -> Mapping[str, AnyPlant]:
 def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
     if isinstance(attacks, Mapping):
         return attacks
-    several = [attacks] if isinstance(attacks, Attack) else list(attacks)
+    several: object = [attacks] if isinstance(attacks, Attack) else attacks
+    if not isinstance(several, list | tuple):
+        raise InputError("attacks", "an Attack, a list, or several by name", describe(attacks))
     names = [_attack_name(one) for one in several]
     twice = {name for name in names if names.count(name) > 1}
     return {
@@ -153,7 +161,8 @@ def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
 
 
 def _attack_name(attack: Attack | None) -> str:
-    return "none" if attack is None else " + ".join(type(part).__name__ for part in attack.parts)
+    parts = attack.parts if isinstance(attack, Attack) else (attack,)
+    return "none" if attack is None else " + ".join(type(part).__name__ for part in parts)
 
 
 def _open(

@@ -99,6 +99,9 @@ class Comparison:
         with a ratio up to 1.5), false_alarm_rate (mean over scenarios), detection_rate, microseconds
         (median), scenarios (how many it ran). An estimator that runs in fewer scenarios is not comparable
         with one that runs in all, and stands below it.
+
+        Scenarios without a ratio (NaN) are left out of an estimator's mean and maximum; a single one in which
+        it diverges (inf) makes both infinite.
         """
         import pandas as pd
 
@@ -204,7 +207,8 @@ def _sensors(
                 counts = dict(zip(PER_SENSOR, scores.per_sensor.astype(np.int64), strict=True))
                 head = {"scenario": scenario.name, "estimator": name, "sensor": list(sensors)}
                 parts.append(pd.DataFrame(head | counts))
-    frame = pd.concat(parts, ignore_index=True)
+    nobody = pd.DataFrame(columns=["scenario", "estimator", "sensor", *PER_SENSOR])
+    frame = pd.concat(parts, ignore_index=True) if parts else nobody
     frame["false_alarm_rate"] = frame["false_alarms"] / frame["honest"].where(frame["honest"] > 0)
     frame["detection_rate"] = frame["detections"] / frame["lies"].where(frame["lies"] > 0)
     return frame
