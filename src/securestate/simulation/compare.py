@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from securestate._checks import describe
+from securestate._checks import describe, distinct, labels
 from securestate.attacks.base import Attack
 from securestate.errors import InputError
 from securestate.estimators import METHODS, Estimator, OracleFilter
@@ -105,9 +105,7 @@ def campaign(
         ("scenarios", [scenario.name for scenario in scenarios]),
         ("estimators", [recipe.name for recipe in recipes]),
     ):
-        twice = {name for name in names if names.count(name) > 1}
-        if twice:
-            raise InputError(argument, "names that differ", f"{', '.join(sorted(twice))} more than once")
+        distinct(argument, labels(argument, names, None, InputError), InputError)
     if not scenarios:
         raise InputError("scenarios", "one at least", "none")
     store = _open(out, scenarios, recipes)
