@@ -226,5 +226,8 @@ def meanings() -> str:
         " it depends on the machine and its load",
     }
     texts = own | {LABELS[name]: text for name, text in MEANING.items() if name in LABELS}
-    rows = (f'<tr><th scope="row">{escape(k)}</th><td>{escape(v)}</td></tr>' for k, v in texts.items())
+    rows = (
+        f'<tr><th scope="row">{escape(k)}</th><td class="where">{escape(v)}</td></tr>'
+        for k, v in texts.items()
+    )
     return scroll(table(("Figure", "Meaning"), rows), "Meaning of every figure")

@@ -2,26 +2,31 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Executor, Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Executor, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
 from typing import Any
 
 from securestate._checks import whole_number
 from securestate.errors import InputError, SecurestateWarning
+from securestate.simulation._identity import code_key, digest
 from securestate.simulation._store import Kept, Store
 from securestate.simulation._work import GROUP, Done, Task, groups_of, work
-from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
+from securestate.simulation.scenario import Recipe, Scenario
 
 #: Groups of a task at most, so that the last tasks do not take long while other workers wait.
 BUNDLE = 10
 #: Tasks waiting per worker, so that none is idle while results are kept.
 AHEAD = 2
-#: How often a task is tried again when its worker dies.
+#: How often a task is done again when its worker dies, in a cluster that we start.
 TRIES = 20
+#: How long a scheduler may take to answer.
+PATIENCE = "10s"
 
 Progress = Callable[[int, int], None]
 Outcome = tuple[list[Done], tuple[int, ...]]
@@ -52,43 +57,58 @@ def finish(
         workers: threads, or processes of a local cluster; None: one per core.
         dask: address of a dask scheduler, or "local" for a cluster of processes on this machine.
         progress: called with the number of groups done and of all groups.
+
+    Raises:
+        InputError: `workers` or `dask` is wrong, or the cluster broke down.
     """
+    width = os.cpu_count() or 1 if workers is None else workers
+    whole_number("workers", width, 1, InputError)
     tasks = deque(_missing(scenarios, recipes, store))
-    total = len(recipes) * sum(len(groups_of(scenario)) for scenario in scenarios)
+    total = len({piece for s in scenarios for r in recipes for piece in _pieces(s, r)})
     done = total - sum(len(task.recipes) * len(task.groups) for task in tasks)
     tell = progress or (lambda *_: None)
     tell(done, total)
-    if not tasks:
-        return
-    with warnings.catch_warnings(), _executor(workers, dask) as (executor, width):
-        warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
-        running: dict[Future[Outcome], Task] = {}
-        try:
-            while tasks or running:
-                while tasks and len(running) < AHEAD * width:
+    running: dict[Future[Outcome], Task] = {}
+    try:
+        with warnings.catch_warnings(), _executor(width, dask) if tasks else nullcontext(None) as pool:
+            warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
+            while pool and (tasks or running):
+                while tasks and len(running) < AHEAD * pool.width:
                     task = tasks.popleft()
-                    running[executor.submit(work, task, alone=dask is not None)] = task
+                    running[pool.executor.submit(work, task, alone=dask is not None)] = task
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
-                    task = running.pop(future)
-                    results, left = future.result()
+                    task, (results, left) = running[future], future.result()
                     store.put(_kept(task.scenario, result) for result in results)
+                    del running[future]
                     done += len(results)
                     if left:
                         tasks.appendleft(Task(task.scenario, task.recipes, left, task.code))
                 tell(done, total)
-        except BaseException:
-            for future in running:
-                future.cancel()
-            raise
+    finally:  # stopped in the middle: what the others have finished meanwhile is kept as well
+        for future, task in running.items():
+            if future.done() and not future.cancelled() and future.exception() is None:
+                store.put(_kept(task.scenario, result) for result in future.result()[0])
+
+
+def _pieces(scenario: Scenario, recipe: Recipe) -> list[tuple[str, int, int]]:
+    """Cell, group and its number of runs, for all groups of a recipe in a scenario."""
+    cell = cell_key(scenario, recipe)
+    return [(cell, group, runs_in(scenario, group)) for group in groups_of(scenario)]
 
 
 def _missing(scenarios: Sequence[Scenario], recipes: Sequence[Recipe], store: Store) -> Iterator[Task]:
-    """Tasks for everything that is not kept yet; estimators that lack the same groups share simulations."""
+    """Tasks for everything that is not kept yet; estimators that lack the same groups share simulations.
+
+    What two scenarios or two estimators have in common, whatever their names, is done once.
+    """
+    planned: set[tuple[str, int, int]] = set()
     for scenario in scenarios:
         lacking: dict[tuple[int, ...], list[Recipe]] = {}
         for recipe in recipes:
-            have = {kept.group: kept.runs for kept in store.get(cell_key(scenario, recipe))}
-            groups = tuple(g for g in groups_of(scenario) if have.get(g) != runs_in(scenario, g))
+            planned |= {(k.cell, k.group, k.runs) for k in store.get(cell_key(scenario, recipe))}
+            pieces = _pieces(scenario, recipe)
+            groups = tuple(piece[1] for piece in pieces if piece not in planned)
+            planned.update(pieces)
             if groups:
                 lacking.setdefault(groups, []).append(recipe)
         for groups, chosen in lacking.items():
@@ -102,48 +122,55 @@ def _kept(scenario: Scenario, result: Done) -> Kept:
     return Kept(cell, result.group, runs, result.scores, result.refusal, result.microseconds)
 
 
+@dataclass(frozen=True)
+class _Pool:
+    """Who does the work, and how many tasks at once."""
+
+    executor: Executor
+    width: int
+
+
 @contextmanager
-def _executor(workers: int | None, dask: str | None) -> Iterator[tuple[Executor, int]]:
-    """Who does the work, and how many can do it at once."""
-    width = os.cpu_count() or 1 if workers is None else workers
-    whole_number("workers", width, 1, InputError)
+def _executor(width: int, dask: str | None) -> Iterator[_Pool]:
+    """Threads of this process, or a cluster."""
     if dask is not None:
-        with _cluster(dask, width) as found:
-            yield found
+        with _cluster(dask, width) as pool:
+            yield pool
         return
     threads = ThreadPoolExecutor(width, thread_name_prefix="securestate")
     try:
-        yield threads, width
+        yield _Pool(threads, width)
     finally:
         threads.shutdown(wait=True, cancel_futures=True)
 
 
 @contextmanager
-def _cluster(dask: str, width: int) -> Iterator[tuple[Executor, int]]:
-    """A dask scheduler as an executor; tasks of a worker that dies are done again by another."""
+def _cluster(dask: str, width: int) -> Iterator[_Pool]:
+    """A dask cluster; the tasks of a worker that dies are done again by another."""
     try:
         import dask as library
         import distributed
     except ImportError:
         raise InputError("dask", "the package dask[distributed]", "an installation without it") from None
-    connect: Callable[..., Any] = distributed.Client
-    with library.config.set({"distributed.scheduler.allowed-failures": TRIES}):
+    failures = {"distributed.scheduler.allowed-failures": TRIES}
+    with library.config.set(failures), _client(distributed.Client, dask, width) as client:
+        threads = sum(client.nthreads().values())
         try:
-            client = connect(**_processes(width)) if dask == "local" else connect(dask, timeout="10s")
-        except (OSError, ValueError) as error:
-            expected = "the address of a dask scheduler, or 'local'"
-            raise InputError("dask", expected, f"{dask!r} ({error})") from None
-        with client:
-            threads = sum(client.nthreads().values())
-            yield client.get_executor(pure=False, retries=TRIES), max(threads, 1)
+            yield _Pool(client.get_executor(pure=False), max(threads, 1))
+        except (distributed.KilledWorker, CancelledError) as error:
+            received = str(error) or "a scheduler that went away"
+            raise InputError("dask", "a cluster that lives as long as the work", received) from None
 
 
-def _processes(width: int) -> dict[str, object]:
-    """A cluster of this many single-threaded processes on this machine."""
-    return {
-        "n_workers": width,
-        "threads_per_worker": 1,
-        "processes": True,
-        "dashboard_address": None,
-        "silence_logs": 50,
-    }
+def _client(connect: Callable[..., Any], dask: str, width: int) -> Any:
+    """Connect to a scheduler, or start a cluster of this many single-threaded processes."""
+    expected = "the address of a dask scheduler, or 'local'"
+    if not dask:
+        raise InputError("dask", expected, repr(dask))
+    try:
+        if dask != "local":
+            return connect(dask, timeout=PATIENCE)
+        own = {"n_workers": width, "threads_per_worker": 1, "processes": True}
+        return connect(**own, dashboard_address=None, silence_logs=logging.CRITICAL)
+    except (OSError, ValueError) as error:
+        raise InputError("dask", expected, f"{dask!r} ({error})") from None

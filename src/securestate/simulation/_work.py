@@ -12,11 +12,12 @@ from typing import Generic, TypeVar
 
 from threadpoolctl import threadpool_limits
 
-from securestate.errors import SecurestateError, SecurestateWarning
+from securestate.errors import DesignError, InputError, SecurestateError, SecurestateWarning
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Plant
+from securestate.simulation._identity import code_key, digest
 from securestate.simulation.metrics import Scores, score
-from securestate.simulation.scenario import Recipe, Scenario, code_key, digest
+from securestate.simulation.scenario import Recipe, Scenario
 from securestate.simulation.simulate import Simulator
 from securestate.simulation.trajectory import Trajectory
 
@@ -31,6 +32,29 @@ SLICE = 0.5
 TIMINGS = 3
 #: Designs and simulators kept per process.
 KEPT = 512
+
+
+class _OneThread:
+    """While anyone is inside, BLAS has one thread in this process: more could change the last bits."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside = threading.Lock(), 0
+        self._limit: threadpool_limits | None = None
+
+    def __enter__(self) -> None:
+        with self._lock:
+            self._limit = self._limit or threadpool_limits(limits=1, user_api="blas")
+            self._inside += 1
+
+    def __exit__(self, *_: object) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._limit and not self._inside:
+                self._limit.restore_original_limits()
+                self._limit = None
+
+
+one_thread = _OneThread()
 
 
 @dataclass(frozen=True)
@@ -69,15 +93,15 @@ def work(task: Task, *, alone: bool, budget: float = SLICE) -> tuple[list[Done],
         alone: this process has one thread to itself, as the worker of a cluster does.
 
     Raises:
-        RuntimeError: this process runs other code than the one that asks.
+        InputError: this process runs other code than the one that asks, or a scenario cannot be simulated.
     """
     if task.code != code_key():
-        raise RuntimeError("this worker runs another version of securestate than the one that asks")
+        raise InputError("dask", "workers with the same version of securestate", "a worker with another one")
     if alone:
         os.environ.setdefault("RAYON_NUM_THREADS", "1")
         warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
     begin, done = time.perf_counter(), list[Done]()
-    with threadpool_limits(limits=1, user_api="blas"):  # more threads could change the last bits
+    with one_thread:
         for position, group in enumerate(task.groups):
             done += _group(task, group)
             if time.perf_counter() - begin >= budget:
@@ -92,13 +116,12 @@ def _group(task: Task, group: int) -> Iterator[Done]:
     refusals: dict[str, str] = {}
     timings: dict[str, float] = {}
     for first, end in scenario.same_plant(group * GROUP, stop):
-        simulator = _simulator(scenario, first)
-        trajectory = simulator.run(scenario.attack, seed=scenario.seed, runs=end - first, first_run=first)
+        trajectory = _simulated(scenario, first, end)
         for recipe in task.recipes:
             if recipe.key in refusals:
                 continue
             try:
-                estimator = _design(recipe, scenario, first, simulator.plant)
+                estimator = _design(recipe, scenario, first, trajectory.plant)
                 run, met = trajectory.confront(estimator)
                 parts[recipe.key].append(score(run, met, scenario.score_from))
                 if first == 0:
@@ -111,6 +134,22 @@ def _group(task: Task, group: int) -> Iterator[Done]:
         else:
             packed = Scores.join(parts[recipe.key]).pack()
             yield Done(recipe.key, group, packed, microseconds=timings.get(recipe.key))
+
+
+def _simulated(scenario: Scenario, first: int, stop: int) -> Trajectory:
+    """Runs first..stop, which have a plant in common.
+
+    Raises:
+        InputError, DesignError: they cannot be simulated; names the scenario.
+    """
+    try:
+        simulator = _simulator(scenario, first)
+        return simulator.run(scenario.attack, seed=scenario.seed, runs=stop - first, first_run=first)
+    except InputError as error:
+        argument = f"scenario {scenario.name!r}: {error.argument}"
+        raise type(error)(argument, error.expected, error.received) from None
+    except DesignError as error:
+        raise DesignError(f"scenario {scenario.name!r}: {error.reason}", error.advice) from None
 
 
 def _microseconds(estimator: Estimator | OracleFilter, met: Trajectory) -> float:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from securestate._checks import describe, distinct, labels
 from securestate.attacks.base import Attack
 from securestate.errors import InputError
 from securestate.estimators import METHODS, Estimator, OracleFilter
@@ -57,12 +58,15 @@ def compare(
         prior: belief about x[0], for the truth and for every estimator.
         workers: threads (processes with `dask="local"`); default: one per core.
         dask: "local" for a cluster of processes on this machine, or the address of a dask scheduler.
-        out: folder that keeps what is computed; a comparison that was interrupted goes on from there.
+        out: folder that keeps what is computed; a comparison that was interrupted goes on from there. What is
+            kept counts for this version of the package, and for functions and adversaries of your own as long
+            as their own source stays the same, whatever they call.
         progress: called with the number of groups of runs done and of all.
     Returns:
         Comparison: a labelled table, figures, and what could not run and why.
     Raises:
         InputError: naming the argument, expected and received.
+        DesignError: a plant under an adversary cannot be simulated; names the scenario.
     Examples:
         >>> from securestate.attacks import Bias
         >>> from securestate.plant import Sensor
@@ -101,12 +105,10 @@ def campaign(
         ("scenarios", [scenario.name for scenario in scenarios]),
         ("estimators", [recipe.name for recipe in recipes]),
     ):
-        twice = {name for name in names if names.count(name) > 1}
-        if twice:
-            raise InputError(argument, "names that differ", f"{', '.join(sorted(twice))} more than once")
+        distinct(argument, labels(argument, names, None, InputError), InputError)
     if not scenarios:
         raise InputError("scenarios", "one at least", "none")
-    store = _open(out, recipes)
+    store = _open(out, scenarios, recipes)
     try:
         finish(scenarios, recipes, store, workers=workers, dask=dask, progress=progress)
         cells = {(s.name, r.name): _cell(s, store.get(cell_key(s, r))) for s in scenarios for r in recipes}
@@ -119,6 +121,8 @@ def recipes_of(estimators: Estimators) -> list[Recipe]:
     """Recipes from names of methods, classes and functions."""
     if isinstance(estimators, Mapping):
         return [_recipe(name, design) for name, design in estimators.items()]
+    if not isinstance(estimators, list | tuple):
+        raise InputError("estimators", "a list, or several by name", describe(estimators))
     return [_recipe(None, design) for design in estimators]
 
 
@@ -143,7 +147,9 @@ def _plants(plant: AnyPlant | Mapping[str, AnyPlant]) -> Mapping[str, AnyPlant]:
 def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
     if isinstance(attacks, Mapping):
         return attacks
-    several = [attacks] if isinstance(attacks, Attack) else list(attacks)
+    several: object = [attacks] if isinstance(attacks, Attack) else attacks
+    if not isinstance(several, list | tuple):
+        raise InputError("attacks", "an Attack, a list, or several by name", describe(attacks))
     names = [_attack_name(one) for one in several]
     twice = {name for name in names if names.count(name) > 1}
     return {
@@ -153,20 +159,27 @@ def _attacks(attacks: Attacks) -> Mapping[str, Attack | None]:
 
 
 def _attack_name(attack: Attack | None) -> str:
-    return "none" if attack is None else " + ".join(type(part).__name__ for part in attack.parts)
+    parts = attack.parts if isinstance(attack, Attack) else (attack,)
+    return "none" if attack is None else " + ".join(type(part).__name__ for part in parts)
 
 
-def _open(out: str | os.PathLike[str] | None, recipes: Sequence[Recipe]) -> Store:
+def _open(
+    out: str | os.PathLike[str] | None, scenarios: Sequence[Scenario], recipes: Sequence[Recipe]
+) -> Store:
     if out is None:
         return MemoryStore()
+    known = "that can be recognised in another process, because out is given (no lambda, no local function)"
     for recipe in recipes:
         if not recipe.stable:
-            raise InputError(
-                "estimators", "functions that can be imported, because out is given", f"{recipe.name!r}"
-            )
-    folder = Path(out)
-    folder.mkdir(parents=True, exist_ok=True)
-    return FileStore(folder)
+            raise InputError("estimators", f"functions and settings {known}", repr(recipe.name))
+    for scenario in scenarios:
+        if not scenario.stable:
+            raise InputError("scenarios", f"adversaries and families {known}", repr(scenario.name))
+    try:
+        Path(out).mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError("out", "a folder that can be written", str(error)) from None
+    return FileStore(Path(out))
 
 
 def _cell(scenario: Scenario, kept: Sequence[Kept]) -> Cell:

@@ -99,6 +99,9 @@ class Comparison:
         with a ratio up to 1.5), false_alarm_rate (mean over scenarios), detection_rate, microseconds
         (median), scenarios (how many it ran). An estimator that runs in fewer scenarios is not comparable
         with one that runs in all, and stands below it.
+
+        Scenarios without a ratio (NaN) are left out of an estimator's mean and maximum; a single one in which
+        it diverges (inf) makes both infinite.
         """
         import pandas as pd
 

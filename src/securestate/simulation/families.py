@@ -27,7 +27,7 @@ class PlantFamily:
     """A rule that draws a plant; all have the same sizes.
 
     Args:
-        name: for tables and as identity: two families of the same name are taken to be the same rule.
+        name: for tables.
         rule: given a generator, a plant.
         runs_per_plant: so many consecutive runs share one plant.
     """

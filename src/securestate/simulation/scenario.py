@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 import functools
-import hashlib
 import itertools
+import secrets
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, final
 
-import numpy as np
 from numpy.random import SeedSequence, default_rng
 
-from securestate._checks import whole_number
-from securestate.attacks.base import Attack
+from securestate._checks import describe, whole_number
+from securestate.attacks.base import Attack, SingleAttack
 from securestate.errors import InputError
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Belief, Plant
+from securestate.simulation._identity import NamelessError, content, digest, identity
 from securestate.simulation.families import PlantFamily
 from securestate.simulation.simulate import ADVERSARY
 from securestate.simulation.stabilise import stabilised
@@ -54,9 +53,17 @@ class Scenario:
 
     def __post_init__(self) -> None:
         for argument, least in (("steps", 1), ("runs", 1), ("seed", 0), ("score_from", 0)):
-            whole_number(argument, getattr(self, argument), least, InputError)
+            number = whole_number(argument, getattr(self, argument), least, InputError)
+            object.__setattr__(self, argument, number)
         if self.score_from >= self.steps:
             raise InputError("score_from", f"a sample in 0..{self.steps - 1}", repr(self.score_from))
+        for argument, kinds, expected in (
+            ("plant", Plant | PlantFamily, "a Plant or a PlantFamily"),
+            ("attack", Attack | None, "an Attack from securestate.attacks, or None"),
+            ("prior", Belief | None, "a Belief, or None for the steady state"),
+        ):
+            if not isinstance(getattr(self, argument), kinds):
+                raise InputError(argument, expected, describe(getattr(self, argument)))
         if isinstance(self.plant, Plant) and not self.plant.time_varying:
             object.__setattr__(self, "plant", stabilised(self.plant))
 
@@ -84,10 +91,10 @@ class Scenario:
 
     @functools.cached_property
     def plant_key(self) -> str:
-        """Hash of the plant, or of the name of its family."""
+        """Hash of the plant, or of the rule that draws it; names do not count."""
         if isinstance(self.plant, Plant):
             return content(self.plant)
-        return digest("family", self.plant.name, str(self.plant.runs_per_plant))
+        return digest("family", _key(self.plant.rule), str(self.plant.runs_per_plant))
 
     def plant_key_of(self, run: int) -> str:
         """Hash of the plant of one run."""
@@ -99,8 +106,18 @@ class Scenario:
     def key(self) -> str:
         """Hash of everything that decides the data of a run; the number of runs does not."""
         prior = "steady" if self.prior is None else content(self.prior)
-        attack = "nobody" if self.attack is None else repr(self.attack.parts)
-        return digest(self.plant_key, attack, prior, repr((self.steps, self.score_from, self.seed)))
+        return digest(self.plant_key, _key(self.parts), prior, repr((self.steps, self.score_from, self.seed)))
+
+    @property
+    def parts(self) -> tuple[SingleAttack, ...]:
+        """The single adversaries; none if nobody lies."""
+        return () if self.attack is None else self.attack.parts
+
+    @property
+    def stable(self) -> bool:
+        """Whether the key identifies the scenario in another process."""
+        rule = None if isinstance(self.plant, Plant) else self.plant.rule
+        return _stable((rule, self.parts))
 
 
 @final
@@ -125,46 +142,28 @@ class Recipe:
     @functools.cached_property
     def key(self) -> str:
         """Hash of the function and its settings; the name does not count."""
-        return digest(_named(self.design), repr(sorted(self.settings.items())))
+        return _key((self.design, self.settings))
 
     @property
     def stable(self) -> bool:
         """Whether the key identifies the recipe in another process."""
-        return "<" not in _named(self.design)
+        return _stable((self.design, self.settings))
 
 
-def _named(design: Any) -> str:
-    """Where a function is found, with what `functools.partial` has bound."""
-    if isinstance(design, functools.partial):
-        return f"{_named(design.func)}({design.args!r}, {sorted(design.keywords.items())!r})"
-    return f"{getattr(design, '__module__', '<?>')}.{getattr(design, '__qualname__', '<?>')}"
+def _key(value: object) -> str:
+    """The identity of a value; of one that has none, a text like no other.
+
+    The keys are made before a scenario or a recipe travels to another process, and travel with it.
+    """
+    try:
+        return identity(value)
+    except NamelessError:
+        return secrets.token_hex(32)
 
 
-def content(value: Plant | Belief) -> str:
-    """Hash of every attribute of a plant or a belief."""
-    total = hashlib.sha256()
-    for name, held in sorted(vars(value).items()):
-        if name != "sensors":  # all they say is in the other attributes
-            array = isinstance(held, np.ndarray)
-            total.update(f"{name} {held.shape if array else held!r}".encode())
-            total.update(held.tobytes() if array else b"")
-    return total.hexdigest()
-
-
-def digest(*parts: str) -> str:
-    """Hash of texts, each with its length, so that their borders count."""
-    total = hashlib.sha256()
-    for part in parts:
-        data = part.encode()
-        total.update(len(data).to_bytes(8, "little") + data)
-    return total.hexdigest()
-
-
-@functools.cache
-def code_key() -> str:
-    """Hash of this package's code, kernels included: results of other code are not continued."""
-    folder = Path(__file__).parents[1]
-    total = hashlib.sha256()
-    for path in sorted(p for p in folder.rglob("*") if p.suffix in (".py", ".so", ".pyd")):
-        total.update(path.relative_to(folder).as_posix().encode() + b"\0" + path.read_bytes())
-    return total.hexdigest()
+def _stable(value: object) -> bool:
+    try:
+        identity(value)
+    except NamelessError:
+        return False
+    return True

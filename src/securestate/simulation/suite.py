@@ -48,96 +48,35 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any, final
+from typing import Any, final
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+import numpy as np
+from pydantic import ValidationError
 
+from securestate._checks import distinct, whole_number
 from securestate.attacks import ATTACKS, Drawn, Redrawn, Switching
 from securestate.attacks.base import Attack, Combination, SingleAttack
-from securestate.attacks.targets import Names, Targets
-from securestate.errors import InputError
+from securestate.attacks.targets import Names, Targets, as_targets
+from securestate.errors import DesignError, InputError, PlantError, ShapeError
 from securestate.estimators import METHODS
-from securestate.plant import Belief, Plant
+from securestate.plant import Belief, Plant, Sensor
+from securestate.simulation._suite_tables import (
+    AttackTable,
+    Choice,
+    EstimatorTable,
+    On,
+    PartTable,
+    PlantTable,
+    ScenarioTable,
+    SuiteFile,
+    first_mistake,
+)
+from securestate.simulation.compare import ORACLE
 from securestate.simulation.families import FAMILIES, PlantFamily
 from securestate.simulation.scenario import Recipe, Scenario
 
-Count = Annotated[int, Field(ge=0, strict=True)] | tuple[int, int]
-Positive = Annotated[int, Field(ge=1, strict=True)]
-
-
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-
-class _Open(BaseModel):
-    """A table whose other keys are arguments of what it describes."""
-
-    model_config = ConfigDict(extra="allow", frozen=True)
-
-
-class _Head(_Table):
-    runs: Positive
-    steps: Positive
-    seed: Annotated[int, Field(ge=0, strict=True)]
-    name: str = ""
-    score_from: Annotated[int, Field(ge=0, strict=True)] = 0
-
-
-class _Plant(_Table):
-    name: str
-    file: str | None = None
-    family: str | None = None
-    runs_per_plant: Positive = 1
-
-
-class _Choice(_Table):
-    """Targets."""
-
-    drawn: Count | None = None
-    redrawn: Count | None = None
-    switching: Count | None = None
-    every: Positive | None = None
-    among: list[str] | None = None
-
-
-_On = str | list[str] | _Choice
-
-
-class _Part(_Open):
-    kind: str
-    on: _On | None = None
-    start: int | None = None
-
-
-class _Attack(_Open):
-    name: str
-    kind: str | None = None
-    on: _On | None = None
-    start: int | None = None
-    parts: list[_Part] | None = None
-
-
-class _Scenario(_Table):
-    plant: str
-    attacks: list[str] = Field(min_length=1)
-    on: _On | None = None
-    start: int | None = None
-    runs: Positive | None = None
-    prior_variance: Annotated[float, Field(gt=0)] | None = None
-    label: str | None = None
-
-
-class _Estimator(_Open):
-    method: str
-    name: str | None = None
-
-
-class _File(_Table):
-    suite: _Head
-    plant: list[_Plant] = Field(min_length=1)
-    attack: list[_Attack] = Field(min_length=1)
-    scenario: list[_Scenario] = []
-    estimator: list[_Estimator] = []
+#: Any method can be designed for this plant: a setting that is refused here is wrong.
+PLAIN = Plant([[0.9]], [[1.0]], [Sensor(name, C=[1.0], R=1.0) for name in "abc"])
 
 
 @final
@@ -159,52 +98,70 @@ def load_suite(path: str | os.PathLike[str], *, runs: int | None = None) -> Suit
     Raises:
         InputError, PlantError: name the file and the key, what was expected and what came.
     """
+    if runs is not None:
+        whole_number("runs", runs, 1, InputError)
     target = Path(path)
     try:
-        file = _File.model_validate(tomllib.loads(target.read_text(encoding="utf-8")))
+        file = SuiteFile.model_validate(_parsed(target))
         return _Reader(target.parent, file, runs).suite()
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise InputError(str(target), "a readable TOML file", str(error)) from None
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(step + 1) if isinstance(step, int) else step for step in first["loc"])
-        raise InputError(f"{target}: {where}", first["msg"], repr(first["input"])[:80]) from None
+        where, expected, received = first_mistake(error)
+        raise InputError(f"{target}: {where}", expected, received) from None
     except InputError as error:
         raise type(error)(f"{target}: {error.argument}", error.expected, error.received) from None
+
+
+def _parsed(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file."""
+    try:
+        return tomllib.loads(path.read_bytes().decode("utf-8-sig"))
+    except RecursionError:
+        raise InputError("suite", "a readable TOML file", "brackets nested too deeply") from None
+    except (OSError, ValueError) as error:
+        raise InputError("suite", "a readable TOML file", str(error)) from None
 
 
 class _Reader:
     """Turns the tables of a file into scenarios and recipes."""
 
-    def __init__(self, folder: Path, file: _File, runs: int | None) -> None:
+    def __init__(self, folder: Path, file: SuiteFile, runs: int | None) -> None:
         self.folder, self.file = folder, file
         self.runs = file.suite.runs if runs is None else runs
+        distinct("[[plant]] name", [entry.name for entry in file.plant], InputError)
+        distinct("[[attack]] name", [entry.name for entry in file.attack], InputError)
         self.plants = {entry.name: self.plant(entry) for entry in file.plant}
         self.attacks = {entry.name: entry for entry in file.attack}
-        for kind, entries in (("plant", file.plant), ("attack", file.attack)):
-            if len({entry.name for entry in entries}) < len(entries):
-                raise InputError(f"[[{kind}]] name", "names that differ", ", ".join(e.name for e in entries))
+        self.examples = {
+            name: plant if isinstance(plant, Plant) else plant.rule(np.random.default_rng(0))
+            for name, plant in self.plants.items()
+        }
 
     def suite(self) -> Suite:
         """The whole file."""
-        every = [_Scenario(plant=plant, attacks=list(self.attacks)) for plant in self.plants]
+        every = [ScenarioTable(plant=plant, attacks=list(self.attacks)) for plant in self.plants]
         scenarios = [one for entry in self.file.scenario or every for one in self.scenarios(entry)]
-        recipes = [self.recipe(entry) for entry in self.file.estimator]
-        everyone = [Recipe(name, method.design) for name, method in METHODS.items()]
-        return Suite(self.file.suite.name, tuple(scenarios), tuple(recipes or everyone))
+        distinct("scenarios (plant, attack and label)", [one.name for one in scenarios], InputError)
+        everyone = [EstimatorTable(method=name) for name in METHODS]
+        recipes = [self.recipe(entry) for entry in self.file.estimator or everyone]
+        distinct("[[estimator]] name", [ORACLE, *(recipe.name for recipe in recipes)], InputError)
+        return Suite(self.file.suite.name, tuple(scenarios), tuple(recipes))
 
-    def plant(self, entry: _Plant) -> Plant | PlantFamily:
+    def plant(self, entry: PlantTable) -> Plant | PlantFamily:
         """A plant from its file, or a family by name."""
         if (entry.file is None) == (entry.family is None):
             raise InputError(
-                f"plant {entry.name!r}", "either file or family", "both" if entry.file else "neither"
+                f"plant {entry.name!r}", "either file or family", "neither" if entry.file is None else "both"
             )
         if entry.family is not None:
             rule = _known(f"plant {entry.name!r}: family", entry.family, FAMILIES)
             return PlantFamily(entry.family, rule, entry.runs_per_plant)
-        return Plant.load(self.folder / str(entry.file))
+        try:
+            return Plant.load(self.folder / str(entry.file))
+        except PlantError as error:
+            argument = f"plant {entry.name!r}: {entry.file}: {error.argument}"
+            raise PlantError(argument, error.expected, error.received) from None
 
-    def scenarios(self, entry: _Scenario) -> list[Scenario]:
+    def scenarios(self, entry: ScenarioTable) -> list[Scenario]:
         """One scenario per attack of a table."""
         head, plant = self.file.suite, _known("scenario: plant", entry.plant, self.plants)
         found = []
@@ -212,36 +169,55 @@ class _Reader:
             described = _known(f"scenario of {entry.plant!r}: attacks", name, self.attacks)
             attack = self.attack(described, entry)
             attack_name = ", ".join([name, *_label(described, entry, attack)])
+            scenario_name = f"{entry.plant}: {attack_name}"
+            self.check_targets(scenario_name, attack, self.examples[entry.plant])
             found.append(
                 Scenario(
-                    f"{entry.plant}: {attack_name}",
+                    scenario_name,
                     plant,
                     attack,
                     head.steps,
                     self.runs if entry.runs is None else min(self.runs, entry.runs),
                     head.seed,
                     head.score_from,
-                    _prior(plant, entry.prior_variance),
+                    _prior(self.examples[entry.plant], entry.prior_variance),
                     entry.plant,
                     attack_name,
                 )
             )
         return found
 
-    def attack(self, entry: _Attack, scenario: _Scenario) -> Attack | None:
+    def check_targets(self, scenario: str, attack: Attack | None, plant: Plant) -> None:
+        """Refuse sensors that the plant lacks or protects."""
+        for part in () if attack is None else attack.parts:
+            try:
+                as_targets(part.on).choose(plant, 1, np.random.default_rng(0))
+            except InputError as error:
+                argument = f"scenario {scenario!r}: {error.argument}"
+                raise InputError(argument, error.expected, error.received) from None
+
+    def attack(self, entry: AttackTable, scenario: ScenarioTable) -> Attack | None:
         """The adversary of a table, with what the scenario says instead."""
         where = f"attack {entry.name!r}"
         if (entry.kind is None) == (entry.parts is None):
-            raise InputError(where, "either kind or parts", "both" if entry.kind else "neither")
+            raise InputError(where, "either kind or parts", "neither" if entry.kind is None else "both")
         if entry.kind == "none":
+            self.bare(where, entry, "nothing else, because nobody lies")
             return None
         if entry.parts is None:
             return self.part(where, str(entry.kind), entry, scenario)
-        if entry.model_extra:
-            raise InputError(where, "arguments within parts", ", ".join(entry.model_extra))
+        self.bare(where, entry, "all other keys within parts")
         return Combination(tuple(self.part(where, part.kind, part, scenario) for part in entry.parts))
 
-    def part(self, where: str, kind: str, entry: _Attack | _Part, scenario: _Scenario) -> SingleAttack:
+    def bare(self, where: str, entry: AttackTable, expected: str) -> None:
+        """Refuse arguments of an adversary that has none of its own."""
+        given = entry.model_fields_set - {"name", "kind", "parts"}
+        if given:
+            raise InputError(f"{where}: {min(given)}", expected, "a value")
+
+    def part(
+        self, where: str, kind: str, entry: AttackTable | PartTable, scenario: ScenarioTable
+    ) -> SingleAttack:
         """One adversary."""
         family: type[SingleAttack] = _known(f"{where}: kind", kind, ATTACKS)
         given = {name: _tuples(value) for name, value in (entry.model_extra or {}).items()}
@@ -261,33 +237,41 @@ class _Reader:
         except InputError as error:
             raise InputError(f"{where}: {error.argument}", error.expected, error.received) from None
 
-    def recipe(self, entry: _Estimator) -> Recipe:
+    def recipe(self, entry: EstimatorTable) -> Recipe:
         """An estimator by method and settings."""
         method = _known("estimator: method", entry.method, METHODS)
         settings = dict(entry.model_extra or {})
+        where = f"estimator {entry.name or entry.method!r}"
         for name in settings:
             if name not in method.settings:
                 expected = f"a setting of {entry.method} ({', '.join(method.settings) or 'it has none'})"
-                raise InputError(f"estimator {entry.name or entry.method!r}: {name}", expected, "another one")
-        return Recipe(entry.name or entry.method, method.design, settings)
+                raise InputError(f"{where}: {name}", expected, "another one")
+        recipe = Recipe(entry.name or entry.method, method.design, settings)
+        try:
+            recipe(PLAIN)
+        except ShapeError:
+            pass  # one number per sensor of another plant
+        except InputError as error:
+            raise InputError(f"{where}: {error.argument}", error.expected, error.received) from None
+        except DesignError:
+            pass  # may suit another plant
+        return recipe
 
 
-def _targets(where: str, on: _On) -> Targets | Names:
+def _targets(where: str, on: On) -> Targets | Names:
     """Targets from their table."""
-    if not isinstance(on, _Choice):
+    if not isinstance(on, Choice):
         return on if isinstance(on, str) else tuple(on)
-    rules: dict[str, Any] = {"drawn": on.drawn, "redrawn": on.redrawn, "switching": on.switching}
-    given = [(name, count) for name, count in rules.items() if count is not None]
-    if len(given) != 1 or (on.every is not None) != (on.switching is not None):
-        expected = "one of drawn, redrawn, or switching with every"
-        raise InputError(f"{where}: on", expected, str(on.model_dump(exclude_none=True)))
-    (name, count), among = given[0], None if on.among is None else tuple(on.among)
-    if name == "switching":
-        return Switching(count, int(on.every or 1), among=among)
-    return Drawn(count, among=among) if name == "drawn" else Redrawn(count, among=among)
+    (name, count), among = on.rule, None if on.among is None else tuple(on.among)
+    try:
+        if name == "switching":
+            return Switching(count, int(on.every or 1), among=among)
+        return Drawn(count, among=among) if name == "drawn" else Redrawn(count, among=among)
+    except InputError as error:
+        raise InputError(f"{where}: on: {error.argument}", error.expected, error.received) from None
 
 
-def _label(described: _Attack, scenario: _Scenario, attack: Attack | None) -> list[str]:
+def _label(described: AttackTable, scenario: ScenarioTable, attack: Attack | None) -> list[str]:
     """Who is attacked and how it starts, in a few words."""
     if scenario.label is not None:
         return [scenario.label]
@@ -298,22 +282,17 @@ def _label(described: _Attack, scenario: _Scenario, attack: Attack | None) -> li
     return [_who(on), *cold]
 
 
-def _who(on: _On) -> str:
-    if not isinstance(on, _Choice):
+def _who(on: On) -> str:
+    if not isinstance(on, Choice):
         return "on " + (on if isinstance(on, str) else ", ".join(on))
-    counts = {"fixed": on.drawn, "changing": on.redrawn, "switching": on.switching}
-    rule, count = next((rule, count) for rule, count in counts.items() if count is not None)
-    return f"{'-'.join(map(str, count)) if isinstance(count, tuple) else count} {rule}"
+    rule, count = on.rule
+    word = {"drawn": "fixed", "redrawn": "changing"}.get(rule, rule)
+    return f"{'-'.join(map(str, count)) if isinstance(count, tuple) else count} {word}"
 
 
-def _prior(plant: Plant | PlantFamily, variance: float | None) -> Belief | None:
-    """A belief of this variance in every state; a family's size is that of its first plant."""
-    if variance is None:
-        return None
-    import numpy as np
-
-    n = plant.n if isinstance(plant, Plant) else plant.rule(np.random.default_rng(0)).n
-    return Belief(np.zeros(n), variance * np.eye(n))
+def _prior(plant: Plant, variance: float | None) -> Belief | None:
+    """A belief of this variance in every state."""
+    return None if variance is None else Belief(np.zeros(plant.n), variance * np.eye(plant.n))
 
 
 def _tuples(value: Any) -> Any:
