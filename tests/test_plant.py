@@ -490,3 +490,18 @@ def test_a_foreign_system_with_wrong_parts_is_refused_naming_them() -> None:
         Plant.from_control(system, [[1]], 1, protected=["gps"])
     with pytest.raises(PlantError, match="sensor_names: expected 1 names, received 2"):
         Plant.from_control(system, [[1]], 1, sensor_names=["a", "b"])
+
+
+def test_readings_and_successors_are_what_the_equations_say() -> None:
+    rng = np.random.default_rng(1)
+    A, C = rng.normal(size=(6, 2, 2)), rng.normal(size=(6, 3, 2))
+    B, D = rng.normal(size=(2, 1)), rng.normal(size=(3, 1))
+    sensor = Sensor("s", C=C, R=1.0, offset=[1.0, 2.0, 3.0], scale=[4.0, 5.0, 6.0])
+    plant = Plant(A, np.eye(2), [sensor], B=B, D=D, input_offset=7.0, input_scale=2.0)
+    x, u = rng.normal(size=(2, 4, 2)), rng.normal(size=(2, 4, 1))
+    for r in range(2):
+        for k in range(4):
+            driven = (u[r, k] - 7.0) / 2.0
+            seen = C[k + 2] @ x[r, k] + D @ driven
+            np.testing.assert_allclose(plant.reading(x, u, 2)[r, k], [1.0, 2.0, 3.0] + seen * [4.0, 5.0, 6.0])
+            np.testing.assert_allclose(plant.successor(x, u, 2)[r, k], A[k + 2] @ x[r, k] + B @ driven)

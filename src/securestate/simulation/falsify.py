@@ -52,6 +52,8 @@ def falsify(
         [[0.1 0.2]
          [0.3 5.4]]
     """
+    if not isinstance(attack, Attack):
+        raise InputError("attack", "an Attack from securestate.attacks", type(attack).__name__)
     for part in attack.parts:
         if part.knows not in POSSIBLE:
             raise InputError(
