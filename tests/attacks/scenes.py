@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from securestate import Plant, Sensor
 from securestate.attacks import Attack
-from securestate.attacks.base import Scene
+from securestate.attacks.knowledge import Scene
 
 Float = NDArray[np.float64]
 

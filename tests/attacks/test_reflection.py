@@ -6,7 +6,7 @@ import pytest
 from securestate import DesignError, Plant, Sensor
 from securestate._local_filters import local_filters
 from securestate.attacks import DefenderReflection, Redrawn, Reflection
-from securestate.attacks.base import Scene
+from securestate.attacks.knowledge import Scene
 from tests.attacks.scenes import Float, injected, many, scene, vehicle
 
 

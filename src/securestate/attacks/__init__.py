@@ -1,11 +1,12 @@
 """Adversaries: one file each, what they all share in `base`, whom they control in `targets`."""
 
-from securestate.attacks.base import Attack, Knowledge
+from securestate.attacks.base import Attack
 from securestate.attacks.bias import Bias
 from securestate.attacks.delay import Delay
 from securestate.attacks.denial import Denial
 from securestate.attacks.fake_state import FakeState
 from securestate.attacks.freeze import Freeze
+from securestate.attacks.knowledge import Knowledge
 from securestate.attacks.noise_linear import NoiseLinear
 from securestate.attacks.pulse import Pulse
 from securestate.attacks.ramp import Ramp

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from securestate.attacks.base import Float
+from securestate.attacks.knowledge import Float
 from securestate.resilience.detectability import Mode
 
 #: Growth beyond which a lie is held, so that all numbers stay finite.

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 from securestate.attacks._arguments import choice, per_channel
-from securestate.attacks.base import Float, OwnSensors, SensorAttack, Size, Unit
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors, Size, Unit
 
 Signs = Literal["fixed", "random"]
 

@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from securestate.attacks import _arguments as argument
-from securestate.attacks.base import Float, OwnSensors, SensorAttack
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors
 
 
 @final

@@ -9,7 +9,8 @@ import numpy as np
 
 from securestate._steady_state import steady_state
 from securestate.attacks._arguments import choice, number, per_channel, positive
-from securestate.attacks.base import Float, PlantAttack, PlantKnowledge, Size
+from securestate.attacks.base import PlantAttack
+from securestate.attacks.knowledge import Float, PlantKnowledge, Size
 from securestate.errors import InputError
 
 Profile = Literal["constant", "ramp", "sinusoid"]

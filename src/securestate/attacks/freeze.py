@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import final
 
-from securestate.attacks.base import Float, OwnSensors, SensorAttack
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors
 
 
 @final

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 from securestate.attacks._arguments import choice, interval
-from securestate.attacks.base import Everything, Float, OmniscientAttack, Unit
+from securestate.attacks.base import OmniscientAttack
+from securestate.attacks.knowledge import Everything, Float, Unit
 
 Redraw = Literal["sample", "sensor", "run"]
 

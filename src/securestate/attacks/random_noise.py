@@ -10,7 +10,8 @@ import numpy as np
 from numpy.random import Generator
 
 from securestate.attacks import _arguments as argument
-from securestate.attacks.base import Float, OwnSensors, SensorAttack, Size, Unit
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors, Size, Unit
 from securestate.errors import InputError
 
 Distribution = Literal["gaussian", "laplace"]

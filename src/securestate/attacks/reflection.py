@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from securestate._local_filters import LocalFilter, local_filters
 from securestate.attacks._arguments import choice
-from securestate.attacks.base import Float, PlantAttack, PlantKnowledge, ProportionalAttack
+from securestate.attacks.base import PlantAttack, ProportionalAttack
+from securestate.attacks.knowledge import Float, PlantKnowledge
 
 About = Literal["local", "clean-local"]
 

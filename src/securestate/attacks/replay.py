@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from securestate.attacks._arguments import whole
-from securestate.attacks.base import Float, OwnSensors, SensorAttack
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors
 from securestate.errors import InputError
 
 

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import final
 
 from securestate.attacks._arguments import per_channel
-from securestate.attacks.base import Float, OwnSensors, SensorAttack, Size
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors, Size
 
 
 @final

@@ -8,7 +8,8 @@ from typing import final
 import numpy as np
 
 from securestate.attacks._arguments import choice, number, per_channel, positive
-from securestate.attacks.base import Float, OwnSensors, SensorAttack, Size, Unit
+from securestate.attacks.base import SensorAttack
+from securestate.attacks.knowledge import Float, OwnSensors, Size, Unit
 
 
 @final

@@ -9,7 +9,8 @@ import numpy as np
 
 from securestate.attacks._arguments import positive
 from securestate.attacks._modal import along_mode
-from securestate.attacks.base import Float, PlantAttack, PlantKnowledge
+from securestate.attacks.base import PlantAttack
+from securestate.attacks.knowledge import Float, PlantKnowledge
 from securestate.attacks.zero_dynamics import require_fixed
 from securestate.resilience.margin import SLOW, margin
 

@@ -10,7 +10,8 @@ import numpy as np
 from securestate._steady_state import steady_state
 from securestate.attacks._arguments import positive
 from securestate.attacks._modal import along_mode
-from securestate.attacks.base import Float, PlantAttack, PlantKnowledge
+from securestate.attacks.base import PlantAttack
+from securestate.attacks.knowledge import Float, PlantKnowledge
 from securestate.attacks.targets import Fixed
 from securestate.errors import DesignError, InputError
 from securestate.plant import Plant

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.random import Generator
 from numpy.typing import ArrayLike, NDArray
 
-from securestate.attacks.base import Attack, Knowledge, Scene
+from securestate.attacks.base import Attack
+from securestate.attacks.knowledge import Knowledge, Scene
 from securestate.errors import InputError
 from securestate.estimators.base import check_inputs, check_measurements
 from securestate.plant import Plant

@@ -13,7 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from securestate import _kernels
 from securestate._checks import whole_number
 from securestate._steady_state import steady_state
-from securestate.attacks.base import Attack, Injection, Scene
+from securestate.attacks.base import Attack, Injection
+from securestate.attacks.knowledge import Scene
 from securestate.errors import DesignError, InputError, ShapeError
 from securestate.plant import Belief, Plant
 from securestate.simulation.stabilise import feedback_for
