@@ -71,8 +71,21 @@ def test_an_estimator_that_cannot_run_everywhere_is_not_above_one_that_does() ->
         ["–", "picky"],
         ["", "oracle yardstick"],
     ]
+    text = "".join(Reader(html).text)
+    assert (
+        "picky runs in 1 of them. There it has 1.00 times the oracle’s squared error, steady 2.00 times."
+        in text
+    )
     assert "no <wide> view & more" in "".join(Reader(html).text)
     assert "picky cannot run in tank: bias:" in "".join(Reader(html).text)
+
+
+def test_the_headline_says_among_whom_the_best_was_looked_for() -> None:
+    ratios = {"picky": [1.0, "no"], "steady": [2.0, 2.0], "slow": [3.0, 3.0]}
+    assert headline(made_comparison(ratios)).startswith(
+        "Of those that run in all 2 scenarios, steady comes closest to the oracle:"
+        " 2.00 times its squared error in the geometric mean."
+    )
 
 
 @pytest.mark.parametrize(

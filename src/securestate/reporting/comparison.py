@@ -11,7 +11,7 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from securestate.reporting import comparison_figures, comparison_tables
-from securestate.reporting.page import asset, count, definitions, paragraphs, write_page
+from securestate.reporting.page import asset, compact, count, definitions, paragraphs, write_page
 from securestate.reporting.standing import Standing
 from securestate.reporting.summary import enumerate_names
 
@@ -74,6 +74,13 @@ def _remarks(comparison: Comparison, standing: Standing) -> list[str]:
     unmeasured = len(standing.ratio) - len(standing.measured)
     if unmeasured and standing.measured:
         remarks.append(f"In {count(unmeasured, 'scenario')} the oracle cannot run; they are left out here.")
+    for name in standing.partial if standing.ranked else ():
+        scenarios, own, best = standing.where_it_runs(name)
+        if scenarios and own < best:
+            remarks.append(
+                f"{name} runs in {scenarios} of them. There it has {compact(own)} times the oracle’s squared "
+                f"error, {standing.ranked[0]} {compact(best)} times."
+            )
     if standing.tied:
         names = enumerate_names(standing.tied)
         remarks.append(f"The runs do not tell {standing.ranked[0]} from {names}: 95 % intervals overlap.")

@@ -62,6 +62,13 @@ class Standing:
         """The first of those that are ranked, with those whose mean looks the same in print."""
         return tuple(n for n in self.ranked if compact(self.mean[n]) == compact(self.mean[self.ranked[0]]))
 
+    def where_it_runs(self, name: str) -> tuple[int, float, float]:
+        """In how many measured scenarios an estimator runs, its geometric mean there, and the best's."""
+        there = self.ratio.loc[list(self.measured)].dropna(subset=[name])
+        with np.errstate(all="ignore"):
+            own, best = (float(np.exp(np.log(there[n]).mean())) for n in (name, self.ranked[0]))
+        return len(there), own, best
+
     def beyond(self, limit: float) -> tuple[str, ...]:
         """Scenarios in which no estimator comes within `limit` times the oracle's squared error."""
         return tuple(name for name in self.measured if not (self.ratio.loc[name] <= limit).any())
@@ -111,7 +118,10 @@ def _closest(s: Standing) -> str:
         only = f", the only estimator that runs in all {scenarios}," if s.partial else ""
         return f"{s.ranked[0]}{only} has {times} the oracle’s squared error{over if not only else ''}."
     come = "comes" if len(s.best) == 1 else "come"
-    return f"{enumerate_names(s.best)} {come} closest to the oracle: {times} its squared error{over}."
+    closest = f"{enumerate_names(s.best)} {come} closest to the oracle: {times} its squared error"
+    if s.partial:
+        return f"Of those that run in all {scenarios}, {closest} in the geometric mean."
+    return f"{closest}{over}."
 
 
 def _nobody(s: Standing) -> str:
