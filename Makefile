@@ -44,7 +44,7 @@ rust: setup ## rustfmt, clippy, cargo test
 	cargo test --quiet --locked --workspace
 
 pytest: setup ## the Python tests and doctests; ARGS="-k name" narrows them
-	$(PY) -m pytest $(ARGS)
+	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
 
 bench: setup ## side-by-side benchmarks
 	@$(PY) -m benches $(ARGS)

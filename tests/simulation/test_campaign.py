@@ -320,20 +320,24 @@ def test_time_is_measured_in_the_first_group_only_and_is_in_no_table() -> None:
     }
 
 
-def blas_threads() -> set[int]:
-    return {pool["num_threads"] for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"}
+def blas_threads() -> dict[str, int]:
+    """Threads of every BLAS that is loaded; other tests may have loaded some that only know one."""
+    pools = [pool for pool in threadpoolctl.threadpool_info() if pool["user_api"] == "blas"]
+    return {pool["filepath"]: pool["num_threads"] for pool in pools}
 
 
 def test_blas_has_one_thread_until_the_last_task_ends_and_then_as_many_as_before() -> None:
     with threadpoolctl.threadpool_limits(2, user_api="blas"):
+        before = blas_threads()
+        assert 2 in before.values()
         first, second = _work.one_thread, _work.one_thread
         with first:
             with second:
-                assert blas_threads() == {1}
-            assert blas_threads() == {1}
-        assert blas_threads() == {2}
+                assert set(blas_threads().values()) == {1}
+            assert set(blas_threads().values()) == {1}
+        assert blas_threads() == before
         campaign(scenarios(10)[:2], recipes(), workers=2)
-        assert blas_threads() == {2}
+        assert blas_threads() == before
 
 
 @pytest.mark.parametrize("workers", [0, -1, 1.5, True])
