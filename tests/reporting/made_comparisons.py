@@ -64,4 +64,4 @@ def _cell(ratio: float | str, scenario: Scenario, sensors: int, spread: float) -
     runs = np.tile(np.array(list(run.values())), (scenario.runs, 1))
     runs[:, 0] = mse * (1 + spread * np.linspace(-1, 1, scenario.runs)) if scenario.runs > 1 else mse
     counts = np.outer([run[name] for name in PER_SENSOR], np.full(sensors, scenario.runs / sensors))
-    return Cell(Scores(runs, counts, np.full(STEPS, mse * scenario.runs)), "", 2.5)
+    return Cell(Scores(runs, counts, np.full((2, STEPS), mse * scenario.runs)), "", 2.5)

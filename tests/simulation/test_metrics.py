@@ -10,7 +10,15 @@ from scipy import stats
 from securestate import InnovationGate, KalmanFilter, OracleFilter, Plant, Run, Sensor, SparseFusion
 from securestate.attacks import Bias, Denial, Drawn, RandomNoise, Redrawn
 from securestate.simulation import Trajectory, simulate
-from securestate.simulation.metrics import PER_RUN, PER_SENSOR, Scores, per_sensor, score, summarise_scores
+from securestate.simulation.metrics import (
+    PER_RUN,
+    PER_SENSOR,
+    Scores,
+    error_over_time,
+    per_sensor,
+    score,
+    summarise_scores,
+)
 
 FROM = 4
 
@@ -86,7 +94,12 @@ def test_every_score_is_what_a_loop_counts() -> None:
         assert set(got) == set(want)
         for name in want:
             np.testing.assert_allclose(got[name], want[name], rtol=1e-9, err_msg=name)
-    np.testing.assert_allclose(scores.curve, ((run.x - truth.x) ** 2).sum(axis=(0, 2)))
+    square = ((run.x - truth.x) ** 2).sum(axis=2)
+    np.testing.assert_allclose(scores.curve, [square.sum(axis=0), (square**2).sum(axis=0)])
+    mean, half = error_over_time(scores)
+    np.testing.assert_allclose(mean, square.mean(axis=0))
+    low, high = stats.t.interval(0.95, truth.runs - 1, loc=mean, scale=stats.sem(square, axis=0))
+    np.testing.assert_allclose(half, (high - low) / 2, rtol=1e-6)
     for row, name in zip(scores.per_sensor, PER_SENSOR, strict=True):
         assert row.sum() == scores.per_run[:, PER_RUN.index(name)].sum()
 
@@ -167,7 +180,7 @@ def made(mse: Any) -> Scores:
     """Scores of runs with these mean squared errors and nothing else."""
     per_run = np.zeros((len(mse), len(PER_RUN)))
     per_run[:, 0] = mse
-    return Scores(per_run, np.zeros((len(PER_SENSOR), 1)), np.zeros(1))
+    return Scores(per_run, np.zeros((len(PER_SENSOR), 1)), np.zeros((2, 1)))
 
 
 def test_the_interval_of_the_error_is_students() -> None:

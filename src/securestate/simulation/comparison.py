@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate._files import whole_file
-from securestate.simulation.metrics import PER_SENSOR, Scores, summarise_scores
+from securestate.simulation.metrics import PER_SENSOR, Scores, error_over_time, summarise_scores
 from securestate.simulation.scenario import Recipe, Scenario
 
 if TYPE_CHECKING:
@@ -58,9 +58,10 @@ class Comparison:
 
     Attributes:
         table: xarray Dataset over (scenario, estimator) with the variables of `MEANING`, `refusal` (empty, or
-            why an estimator could not run) and `squared_error` over time (scenario, estimator, time), the
-            mean over runs. Coordinates `plant`, `attack`, `attacked` (whether there is an adversary at all),
-            `steps`, `score_from` and `seed` of the scenarios. The same for any number of workers, to the bit.
+            why an estimator could not run) and, over time (scenario, estimator, time), `squared_error`, the
+            mean over runs, and `squared_error_half`, half the width of its 95 % interval. Coordinates
+            `plant`, `attack`, `attacked` (whether there is an adversary at all), `steps`, `score_from` and
+            `seed` of the scenarios. The same for any number of workers, to the bit.
         sensors: pandas DataFrame, one row per scenario, estimator and sensor: counts and rates.
         timing: pandas DataFrame (scenario, estimator), microseconds per step of one filter on one thread, the
             fastest of a few; it depends on the machine and its load.
@@ -163,7 +164,7 @@ def _table(
 
     steps = max(scenario.steps for scenario in scenarios)
     figures = {name: np.full((len(scenarios), len(names)), np.nan) for name in MEANING}
-    curves = np.full((len(scenarios), len(names), steps), np.nan)
+    curves = np.full((2, len(scenarios), len(names), steps), np.nan)
     for i, scenario in enumerate(scenarios):
         oracle = cells[scenario.name, names[0]].scores
         for j, name in enumerate(names):
@@ -172,14 +173,15 @@ def _table(
                 continue
             for figure, value in summarise_scores(scores, oracle).items():
                 figures[figure][i, j] = value
-            curves[i, j, : scenario.steps] = scores.curve / len(scores.per_run)
+            curves[:, i, j, : scenario.steps] = error_over_time(scores)
     axes = ("scenario", "estimator")
     data: dict[str, Any] = {name: (axes, figures[name], {"long_name": MEANING[name]}) for name in MEANING}
     data["refusal"] = (
         axes,
         np.array([[cells[s.name, n].refusal for n in names] for s in scenarios], dtype=object),
     )
-    data["squared_error"] = ((*axes, "time"), curves)
+    data["squared_error"] = ((*axes, "time"), curves[0])
+    data["squared_error_half"] = ((*axes, "time"), curves[1])
     coords: dict[str, Any] = {
         "scenario": [scenario.name for scenario in scenarios],
         "estimator": list(names),

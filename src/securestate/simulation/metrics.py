@@ -44,7 +44,7 @@ class Scores:
     Attributes:
         per_run: (runs, len(PER_RUN)).
         per_sensor: sums over the group, (len(PER_SENSOR), N).
-        curve: squared error of every sample, summed over the group, (T,).
+        curve: squared error of every sample and its square, summed over the group, (2, T).
     """
 
     per_run: Float
@@ -61,11 +61,11 @@ class Scores:
     def unpack(packed: bytes, sensors: int, steps: int) -> Scores:
         """The scores that `pack` wrote, of a plant with this many sensors over this many samples."""
         numbers = np.frombuffer(packed, dtype=np.float64)
-        rows = numbers.size - len(PER_SENSOR) * sensors - steps
+        rows = numbers.size - len(PER_SENSOR) * sensors - 2 * steps
         return Scores(
             numbers[:rows].reshape(-1, len(PER_RUN)),
-            numbers[rows : numbers.size - steps].reshape(len(PER_SENSOR), sensors),
-            numbers[numbers.size - steps :],
+            numbers[rows : numbers.size - 2 * steps].reshape(len(PER_SENSOR), sensors),
+            numbers[numbers.size - 2 * steps :].reshape(2, steps),
         )
 
     @staticmethod
@@ -87,7 +87,8 @@ def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
     with np.errstate(over="ignore", invalid="ignore"):
         error = run.x - truth.x
         square = np.einsum("...n,...n->...", error, error)
-    square = np.where(np.isnan(square), np.inf, square)
+        square = np.where(np.isnan(square), np.inf, square)
+        curve = np.stack([square.sum(axis=0), (square**2).sum(axis=0)])
     arrived = ~np.isnan(truth.y)
     present = per_sensor(arrived, plant.channel_sensor, plant.n_sensors)[:, scored]
     lies, suspected = truth.attacked[:, scored] & present, run.suspected[:, scored] & present
@@ -108,7 +109,7 @@ def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
     return Scores(
         np.stack([np.asarray(per_run[name], dtype=np.float64) for name in PER_RUN], axis=1),
         np.stack([count.sum(axis=(0, 1)) for count in counts]).astype(np.float64),
-        square.sum(axis=0),
+        curve,
     )
 
 
@@ -173,7 +174,7 @@ def summarise_scores(scores: Scores, oracle: Scores | None) -> Mapping[str, floa
     """
     run = dict(zip(PER_RUN, scores.per_run.T, strict=True))
     runs = len(scores.per_run)
-    quantile = float(special.stdtrit(runs - 1, (1 + LEVEL) / 2)) if runs > 1 else np.nan
+    quantile = _quantile(runs)
     with np.errstate(all="ignore"):
         mse = float(run["mse"].mean())
         half = quantile * float(run["mse"].std(ddof=1)) / np.sqrt(runs) if runs > 1 else np.nan
@@ -198,6 +199,21 @@ def summarise_scores(scores: Scores, oracle: Scores | None) -> Mapping[str, floa
             "not_ok": float(run["not_ok"].mean()),
         }
     return figures
+
+
+def error_over_time(scores: Scores) -> tuple[Float, Float]:
+    """Mean squared error of every sample, and half the width of its 95 % interval, each (T,)."""
+    runs = len(scores.per_run)
+    with np.errstate(all="ignore"):
+        mean: Float = scores.curve[0] / runs
+        variance = np.maximum(scores.curve[1] / runs - mean**2, 0.0) / (runs - 1)
+        half: Float = _quantile(runs) * np.sqrt(variance)
+    return mean, half
+
+
+def _quantile(runs: int) -> float:
+    """Student's quantile of the intervals; NaN for a single run."""
+    return float(special.stdtrit(runs - 1, (1 + LEVEL) / 2)) if runs > 1 else np.nan
 
 
 def _ratio(mse: Float, oracle: Scores | None, quantile: float) -> dict[str, float]:
