@@ -33,6 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate import _kernels
+from securestate._checks import yes_or_no
 from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
@@ -144,6 +145,8 @@ class SparseFusion(Estimator):
         refit: bool | None = None,
     ) -> None:
         _check_settings(plant, form, kalman_probability, gamma)
+        if refit is not None:
+            refit = yes_or_no("refit", refit, InputError)
         if plant.n * plant.m > SIZE_LIMIT:
             raise DesignError(
                 f"sparse fusion of n = {plant.n} states and m = {plant.m} channels needs a matrix of "

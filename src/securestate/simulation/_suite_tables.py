@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    ValidationError,
+    model_validator,
+)
 
 from securestate._checks import label
 from securestate.errors import InputError
@@ -75,7 +84,15 @@ class Choice(_Table):
         return self
 
 
-On = str | list[str] | Choice
+def _form(given: object) -> str:
+    """Which form `on` has, so that a mistake is told about that one only."""
+    return "name" if isinstance(given, str) else "names" if isinstance(given, list) else "table"
+
+
+On = Annotated[
+    Annotated[str, Tag("name")] | Annotated[list[str], Tag("names")] | Annotated[Choice, Tag("table")],
+    Discriminator(_form),
+]
 
 
 class PartTable(_Open):
@@ -93,7 +110,7 @@ class AttackTable(_Open):
     kind: str | None = None
     on: On | None = None
     start: Whole | None = None
-    parts: list[PartTable] | None = None
+    parts: Annotated[list[PartTable], Field(min_length=1)] | None = None
 
 
 class ScenarioTable(_Table):
