@@ -8,11 +8,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import pandas as pd
+
 from securestate._results import check_folder
 from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.errors import InputError
 from securestate.simulation import Comparison, campaign
+from securestate.simulation.compare import ORACLE
 from securestate.simulation.suite import load_suite
 
 
@@ -69,9 +72,11 @@ def _show(result: Comparison, written: Sequence[Path]) -> None:
     grid = console.table(
         "estimator", "ratio", "worst", "within 1.5", "false alarms", "detected", "µs per step", "scenarios"
     )
-    for name, row in result.ranking.iterrows():
+    order = result.ranking
+    yardstick = order.index == ORACLE
+    for name, row in pd.concat([order[~yardstick], order[yardstick]]).iterrows():
         grid.add_row(
-            str(name),
+            f"{name} (is told)" if name == ORACLE else str(name),
             *(_number(row[figure]) for figure in ("ratio", "worst")),
             *(_percent(row[figure]) for figure in ("within", "false_alarm_rate", "detection_rate")),
             _number(row["microseconds"]),
@@ -93,7 +98,10 @@ def _refusals(result: Comparison) -> list[str]:
         for reason in frame[name]:
             if reason:
                 reasons[str(name), reason] = reasons.get((str(name), reason), 0) + 1
-    return [f"{name} cannot run in {count} scenarios: {why}" for (name, why), count in reasons.items()]
+    return [
+        f"{name} cannot run in {count} scenario{'' if count == 1 else 's'}: {why}"
+        for (name, why), count in reasons.items()
+    ]
 
 
 def _number(value: float) -> str:

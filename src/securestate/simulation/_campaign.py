@@ -171,6 +171,6 @@ def _client(connect: Callable[..., Any], dask: str, width: int) -> Any:
         if dask != "local":
             return connect(dask, timeout=PATIENCE)
         own = {"n_workers": width, "threads_per_worker": 1, "processes": True}
-        return connect(**own, dashboard_address=None, silence_logs=logging.CRITICAL)
+        return connect(**own, dashboard_address=":0", silence_logs=logging.CRITICAL)
     except (OSError, ValueError) as error:
         raise InputError("dask", expected, f"{dask!r} ({error})") from None

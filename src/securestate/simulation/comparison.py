@@ -89,8 +89,9 @@ class Comparison:
         )
 
     def __repr__(self) -> str:
-        sizes = self.table.sizes
-        return f"Comparison({sizes['scenario']} scenarios × {sizes['estimator']} estimators)"
+        sizes = [(self.table.sizes[axis], axis) for axis in ("scenario", "estimator")]
+        said = (f"{count} {axis}{'' if count == 1 else 's'}" for count, axis in sizes)
+        return f"Comparison({' × '.join(said)})"
 
     @property
     def ranking(self) -> pd.DataFrame:
