@@ -8,7 +8,7 @@ import pytest
 from scipy import stats
 
 from securestate import InnovationGate, KalmanFilter, OracleFilter, Plant, Run, Sensor, SparseFusion
-from securestate.attacks import Bias, Denial, Drawn, RandomNoise, Redrawn
+from securestate.attacks import Bias, Denial, Drawn, Pulse, RandomNoise, Redrawn
 from securestate.simulation import Trajectory, simulate
 from securestate.simulation.metrics import (
     PER_RUN,
@@ -57,14 +57,16 @@ def by_hand(run: Run, truth: Trajectory, r: int) -> dict[str, float]:
         for i in range(N):
             channels = range(*p.channels_of(i).indices(p.m))
             sent = any(not np.isnan(truth.y[r, k, c]) for c in channels)
-            lies, accused = bool(truth.attacked[r, k, i]), bool(run.suspected[r, k, i])
+            attacked, accused = bool(truth.attacked[r, k, i]), bool(run.suspected[r, k, i])
+            values = [truth.a[r, k, c] for c in channels if not np.isnan(truth.y[r, k, c])]
+            lies = attacked and any(a != 0 for a in values)
             for c in channels:
-                if not lies and not np.isnan(run.innovation[r, k, c]):
+                if not attacked and not np.isnan(run.innovation[r, k, c]):
                     nis.append((run.innovation[r, k, c] / run.innovation_std[r, k, c]) ** 2)
                 error = (run.attack[r, k, c] - truth.a[r, k, c]) / noise[c]
-                if lies and not np.isnan(error):
+                if attacked and truth.a[r, k, c] != 0 and not np.isnan(error):
                     miss.append(error**2)
-            if not sent:
+            if not sent or (attacked and not lies):
                 continue
             right &= lies == accused
             counts["lies" if lies else "honest"] += 1
@@ -156,6 +158,17 @@ def test_a_suppressed_reading_is_neither_a_lie_nor_honest() -> None:
     counts = dict(zip(PER_SENSOR, score(run, truth).per_sensor, strict=True))
     assert counts["honest"][2] == counts["lies"][2] == counts["detections"][2] == 0
     assert counts["honest"][0] == 40
+
+
+def test_an_adversary_that_leaves_a_reading_as_it_is_does_not_lie_there() -> None:
+    truth = simulate(plant(), 40, Pulse(50.0, every=10, on="s1") + Denial(0.5, on="s2"), runs=3, seed=3)
+    run, _ = truth.confront(OracleFilter(plant()))
+    counts = dict(zip(PER_SENSOR, score(run, truth).per_sensor, strict=True))
+    assert (counts["lies"][2], counts["detections"][2], counts["honest"][2]) == (12, 12, 0)
+    assert counts["lies"][3] == counts["honest"][3] == 0
+    run, _ = truth.confront(InnovationGate(plant()))
+    figures = summarise_scores(score(run, truth), None)
+    assert figures["detection_rate"] == 1.0
 
 
 def test_a_state_beyond_all_numbers_counts_as_infinitely_wrong() -> None:

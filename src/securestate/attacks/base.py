@@ -22,6 +22,7 @@ from typing import ClassVar, Generic, TypeVar, final
 import numpy as np
 from numpy.random import Generator
 
+from securestate._checks import describe
 from securestate.attacks._arguments import whole
 from securestate.attacks.knowledge import (
     Bool,
@@ -33,6 +34,7 @@ from securestate.attacks.knowledge import (
     Scene,
 )
 from securestate.attacks.targets import Names, Targets, as_targets
+from securestate.errors import InputError
 
 View = TypeVar("View", bound="OwnSensors")
 
@@ -49,7 +51,7 @@ class Reaction:
 
         `expected` is offset + scale (C x[k|k-1] + D ut[k]), (runs, m), sensor units.
         """
-        wanted = self.attack.react(self.view, k, expected)
+        wanted = _checked(self.attack, self.attack.react(self.view, k, expected), expected.shape)
         return np.where(self.view.attacked[:, k, self.view.channel_sensor], wanted, 0.0)
 
     @property
@@ -177,7 +179,7 @@ class OpenLoopAttack(SingleAttack, Generic[View]):
     def act(self, scene: Scene, number: int) -> Injection:
         """See `SingleAttack.act`."""
         own = own_sensors(self, scene, number)
-        signal = self.inject(self.look(scene, own))
+        signal = _checked(self, self.inject(self.look(scene, own)), own.shape)
         return Injection(np.where(own.attacked[..., own.channel_sensor], signal, 0.0), own.attacked, ())
 
 
@@ -248,6 +250,22 @@ class ProportionalAttack(ClosedLoopAttack):
     def react(self, view: Everything, k: int, expected: Float) -> Float:
         """See `ClosedLoopAttack.react`."""
         return self.gain * (view.y[:, k] - expected)
+
+
+def _checked(attack: SingleAttack, signal: Float, shape: tuple[int, ...]) -> Float:
+    """An injection that fits and has no infinite number.
+
+    Raises:
+        InputError: names the adversary.
+    """
+    name = f"injection of {type(attack).__name__}"
+    try:
+        fitting = np.broadcast_to(np.asarray(signal, dtype=np.float64), shape)
+    except (TypeError, ValueError):
+        raise InputError(name, f"numbers of shape {shape}", describe(signal)) from None
+    if np.isinf(fitting).any():
+        raise InputError(name, "finite numbers, or NaN to suppress a reading", "an infinite one")
+    return fitting
 
 
 def own_sensors(attack: SingleAttack, scene: Scene, number: int) -> OwnSensors:

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy import special
 
 from securestate import _kernels
 from securestate._local_filters import LocalFilter
@@ -35,7 +35,7 @@ def checked_rate(value: object) -> float:
 
 def quantiles(channels: int, false_alarm_rate: float) -> Float:
     """Chi-square quantile 1 - false_alarm_rate for 0, 1, ... channels, (channels + 1,); infinite for none."""
-    bounds = chi2.isf(false_alarm_rate, np.arange(1, channels + 1))
+    bounds = special.chdtri(np.arange(1, channels + 1), false_alarm_rate)
     return np.concatenate([[np.inf], np.asarray(bounds, dtype=np.float64)])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from html import escape
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,8 +49,13 @@ def chart(curves: Mapping[str, Float], scored_from: int, title: str) -> str:
 
 
 def _reduce(curve: Float) -> Float:
-    parts = np.array_split(curve, min(POINTS, curve.size))
-    return np.array([part.mean() for part in parts])
+    edges = _edges(curve.size, min(POINTS, curve.size))
+    return np.array([curve[a:b].mean() for a, b in pairwise(edges)])
+
+
+def _edges(steps: int, parts: int) -> NDArray[np.int64]:
+    """Where parts begin that share the samples as evenly as can be, and the end, (parts + 1,)."""
+    return np.arange(parts + 1) * steps // parts
 
 
 def _limits(curves: Mapping[str, Float]) -> tuple[int, int]:
@@ -73,7 +79,7 @@ def _height(values: Float, low: int, high: int) -> Float:
 
 def _line(y: Float, kind: str, steps: int) -> str:
     """One line; its points stand in the middle of the samples they average."""
-    edges = np.linspace(0, steps, y.size + 1)
+    edges = _edges(steps, y.size)
     x = LEFT + (edges[:-1] + edges[1:] - 1) / 2 / max(steps - 1, 1) * (RIGHT - LEFT)
     points = " ".join(f"{a:.0f},{b:.1f}" for a, b in zip(x, y, strict=True))
     return f'<polyline class="{kind}" points="{points}"/>'

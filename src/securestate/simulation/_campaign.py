@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
+import threading
 import warnings
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
@@ -171,6 +173,20 @@ def _client(connect: Callable[..., Any], dask: str, width: int) -> Any:
         if dask != "local":
             return connect(dask, timeout=PATIENCE)
         own = {"n_workers": width, "threads_per_worker": 1, "processes": True}
-        return connect(**own, dashboard_address=":0", silence_logs=logging.CRITICAL)
+        with _children_deaf_to_interrupts():
+            return connect(**own, dashboard_address=":0", silence_logs=logging.CRITICAL)
     except (OSError, ValueError) as error:
         raise InputError("dask", expected, f"{dask!r} ({error})") from None
+
+
+@contextmanager
+def _children_deaf_to_interrupts() -> Iterator[None]:
+    """Ctrl-C goes to every process of a terminal; what is started here leaves it to us."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)

@@ -62,6 +62,8 @@ def identity(value: Any) -> str:
         return _named(value)
     if isinstance(value, Enum) or not is_dataclass(value):
         return _plain(value)
+    if set(vars(value)) - {f.name for f in fields(value)}:
+        raise NamelessError(f"a {type(value).__name__} with attributes that are no fields")
     return digest(_named(type(value)), *(identity((f.name, getattr(value, f.name))) for f in fields(value)))
 
 
@@ -79,10 +81,23 @@ def _named(thing: Any) -> str:
         raise NamelessError(name)
     if module.split(".")[0] == PACKAGE:
         return digest(module, name)
+    read = identity(_read(thing))
     try:
-        return digest(module, name, inspect.getsource(thing))
+        return digest(module, name, inspect.getsource(thing), read)
     except (OSError, TypeError):  # typed in, or not written in Python
-        return digest(module, name)
+        return digest(module, name, read)
+
+
+def _read(thing: Any) -> list[tuple[str, Any]]:
+    """The values that the code of a function, or of a class, reads from its module: constants, not code."""
+    functions = vars(thing).values() if inspect.isclass(thing) else [thing]
+    found: dict[str, Any] = {}
+    for function in (each for each in functions if inspect.isfunction(each)):
+        for name in function.__code__.co_names:
+            value = function.__globals__.get(name)
+            if name in function.__globals__ and not (inspect.ismodule(value) or callable(value)):
+                found[name] = value
+    return sorted(found.items())
 
 
 @functools.cache

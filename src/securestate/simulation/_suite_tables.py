@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from typing import Annotated, Literal, Self
 
 from pydantic import (
@@ -146,4 +147,24 @@ def first_mistake(error: ValidationError) -> tuple[str, str, str]:
     """Where the first mistake is, what was expected and what came."""
     first = error.errors()[0]
     steps = [f"number {step + 1}" if isinstance(step, int) else step for step in first["loc"]]
-    return " ".join(steps) or "suite", first["msg"].removeprefix("Value error, "), repr(first["input"])[:80]
+    where, received = " ".join(steps) or "suite", repr(first["input"])[:80]
+    if first["type"] == "missing":
+        return where, "a value", "nothing"
+    if first["type"] == "extra_forbidden":
+        known = _keys(first["loc"])
+        near = difflib.get_close_matches(str(first["loc"][-1]), known, n=1)
+        return where, f"a key among {', '.join(known)}", f"an unknown key{f'; {near[0]}?' if near else ''}"
+    if first["type"] == "greater_than_equal":
+        return where, f"a whole number >= {first['ctx']['ge']}", received
+    return where, first["msg"].removeprefix("Value error, "), received
+
+
+def _keys(place: tuple[int | str, ...]) -> list[str]:
+    """The keys of the table in which a key is unknown."""
+    tables: dict[str, type[BaseModel]] = {
+        "suite": Head,
+        "plant": PlantTable,
+        "scenario": ScenarioTable,
+    }
+    inside = SuiteFile if len(place) == 1 else Choice if "table" in place else tables[str(place[0])]
+    return list(inside.model_fields)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from securestate._checks import describe, distinct, labels
 from securestate.attacks.base import Attack
@@ -133,7 +135,15 @@ def _recipe(name: str | None, design: str | Design) -> Recipe:
         return Recipe(name or design, METHODS[design].design)
     if not callable(design):
         raise InputError("estimators", "names of methods, or functions from a plant", repr(design))
-    return Recipe(name or str(getattr(design, "__name__", repr(design))), design)
+    return Recipe(name or _called(design), design)
+
+
+def _called(design: Any) -> str:
+    """A short name: of a partial function, its own and what is bound."""
+    if isinstance(design, functools.partial):
+        bound = [*map(repr, design.args), *(f"{key}={value!r}" for key, value in design.keywords.items())]
+        return f"{_called(design.func)}({', '.join(bound)})"
+    return str(getattr(design, "__name__", repr(design)))
 
 
 def _plants(plant: AnyPlant | Mapping[str, AnyPlant]) -> Mapping[str, AnyPlant]:

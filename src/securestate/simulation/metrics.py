@@ -81,7 +81,8 @@ class Scores:
 def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
     """Compare a batch of estimates with the truth, from sample `score_from` on.
 
-    A reading that was suppressed is neither a lie nor honest: its sensor does not count at that sample.
+    A lie is a reading that an adversary changed. One that was suppressed is neither a lie nor honest, nor is
+    one that an adversary had in hand and left as it was: such a sensor does not count at that sample.
     """
     plant, scored = truth.plant, slice(score_from, None)
     with np.errstate(over="ignore", invalid="ignore"):
@@ -91,8 +92,10 @@ def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
         curve = np.stack([square.sum(axis=0), (square**2).sum(axis=0)])
     arrived = ~np.isnan(truth.y)
     present = per_sensor(arrived, plant.channel_sensor, plant.n_sensors)[:, scored]
-    lies, suspected = truth.attacked[:, scored] & present, run.suspected[:, scored] & present
-    counts = (present & ~lies, suspected & ~lies, lies, suspected & lies)
+    controlled, suspected = truth.attacked[:, scored] & present, run.suspected[:, scored] & present
+    changed = per_sensor(arrived & (truth.a != 0), plant.channel_sensor, plant.n_sensors)[:, scored]
+    lies, honest = controlled & changed, present & ~controlled
+    counts = (honest, suspected & honest, lies, suspected & lies)
     noise = plant.scale * np.sqrt(np.diag(plant.R))
     injected, injection_error = _injection(run, truth, noise, scored)
     per_run = {
@@ -100,7 +103,7 @@ def score(run: Run, truth: Trajectory, score_from: int = 0) -> Scores:
         "nees": _nees(run, error, scored),
         "nis": _nis(run, truth, scored),
         "delay": _delay(lies, suspected & lies),
-        "exact": (suspected == lies).all(axis=-1).mean(axis=1),
+        "exact": ((suspected == lies) | ~(lies | honest)).all(axis=-1).mean(axis=1),
         "injected": injected,
         "injection_error": injection_error,
         "not_ok": (run.status[:, scored] != Status.OK).mean(axis=1),
@@ -157,7 +160,7 @@ def _delay(lies: Bool, found: Bool) -> Float:
 
 def _injection(run: Run, truth: Trajectory, noise: Float, scored: slice) -> tuple[Float, Float]:
     """How many injections were estimated, and their mean squared error in units of the noise, per run."""
-    lies = truth.attacked[:, scored][..., truth.plant.channel_sensor]
+    lies = truth.attacked[:, scored][..., truth.plant.channel_sensor] & (truth.a[:, scored] != 0)
     with np.errstate(all="ignore"):
         miss = (run.attack[:, scored] - truth.a[:, scored]) / noise
         known = lies & ~np.isnan(miss)

@@ -64,6 +64,10 @@ class Scenario:
         ):
             if not isinstance(getattr(self, argument), kinds):
                 raise InputError(argument, expected, describe(getattr(self, argument)))
+        for part in self.parts:
+            if part.start >= self.steps:
+                expected = f"a start below {self.steps}, the samples of a run"
+                raise InputError(f"attack of scenario {self.name!r}", expected, str(part.start))
         if isinstance(self.plant, Plant) and not self.plant.time_varying:
             object.__setattr__(self, "plant", stabilised(self.plant))
 
@@ -137,7 +141,12 @@ class Recipe:
 
     def __call__(self, plant: Plant) -> Estimator | OracleFilter:
         """The estimator for a plant."""
-        return self.design(plant, **self.settings)
+        made: object = self.design(plant, **self.settings)
+        if not isinstance(made, Estimator | OracleFilter):
+            raise InputError(
+                f"estimator {self.name!r}", "a function that returns an Estimator", describe(made)
+            )
+        return made
 
     @functools.cached_property
     def key(self) -> str:

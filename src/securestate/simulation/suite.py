@@ -43,10 +43,11 @@ every sample, { switching = 3, every = 20 }; each with `among = [names]` if not 
 
 from __future__ import annotations
 
+import difflib
 import os
 import tomllib
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
 from typing import Any, final
 
@@ -221,10 +222,16 @@ class _Reader:
         """One adversary."""
         family: type[SingleAttack] = _known(f"{where}: kind", kind, ATTACKS)
         given = {name: _tuples(value) for name, value in (entry.model_extra or {}).items()}
-        known = [field.name for field in fields(family) if field.name not in ("on", "start")]
+        own = [field for field in fields(family) if field.name not in ("on", "start")]
+        known = [*(field.name for field in own), "on", "start"]
         for name in given:
             if name not in known:
-                raise InputError(f"{where}: {name}", f"a key among {', '.join(known)}", "another one")
+                near = difflib.get_close_matches(name, known, n=1)
+                received = f"an unknown key{f'; {near[0]}?' if near else ''}"
+                raise InputError(f"{where}: {name}", f"a key among {', '.join(known)}", received)
+        for field in own:
+            if field.default is MISSING and field.name not in given:
+                raise InputError(f"{where}: {field.name}", "a value", "nothing")
         on = scenario.on if scenario.on is not None else entry.on
         if on is None:
             raise InputError(f"{where}: on", "who is attacked, here or in the scenario", "nothing")
