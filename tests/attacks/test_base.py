@@ -1,12 +1,13 @@
 """What all adversaries share: they add up, know what their type says, and are compared by content."""
 
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from securestate import InputError, attacks
+from securestate import InputError, Plant, Sensor, attacks, simulate
 from securestate.attacks import (
     ATTACKS,
     Bias,
@@ -218,3 +219,27 @@ def test_a_wrong_argument_is_refused_by_name(
 ) -> None:
     with pytest.raises(InputError, match=message):
         kind(**({"on": "x"} | arguments))
+
+
+@dataclass(frozen=True)
+class Odd(SensorAttack):
+    """Injects whatever it is given."""
+
+    what: object = 0.0
+
+    def inject(self, view: object) -> Any:
+        return self.what
+
+
+@pytest.mark.parametrize(
+    ("what", "message"),
+    [
+        ((1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0), "injection of Odd: expected numbers of shape"),
+        ("text", "injection of Odd: expected numbers of shape"),
+        (float("inf"), "injection of Odd: expected finite numbers, or NaN to suppress a reading"),
+    ],
+)
+def test_an_injection_that_does_not_fit_is_named(what: object, message: str) -> None:
+    plant = Plant([[0.9]], [[1.0]], [Sensor("a", C=[1.0], R=1.0), Sensor("b", C=[1.0], R=1.0)])
+    with pytest.raises(InputError, match=message):
+        simulate(plant, 5, Odd(what=what, on="a"), seed=1)

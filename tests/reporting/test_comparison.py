@@ -211,6 +211,17 @@ def test_what_was_run_is_said() -> None:
     assert "A scenario with one run has no interval" in render(comparison)
 
 
+@pytest.mark.parametrize("steps", [50, 120, 130, 200, 1007])
+def test_a_step_in_a_curve_is_drawn_at_its_sample(steps: int) -> None:
+    at = steps * 2 // 3
+    svg = chart({"oracle": np.where(np.arange(steps) < at, 1.0, 1000.0)}, 0, "title")
+    (points,) = re.findall('points="(.*?)"', svg)
+    x, y = np.array([[float(v) for v in point.split(",")] for point in points.split()]).T
+    width = 396 - 44
+    drawn = (x[y < y.max()][0] - 44) / width * (steps - 1)
+    assert abs(drawn - at) <= max(1.0, steps / 120) + steps / width
+
+
 def test_a_chart_labels_every_line_once_without_overlap_and_stays_inside() -> None:
     curves = {name: np.full(300, 1.0) for name in ("oracle", "a", "b")} | {"far": np.geomspace(1, 1e200, 300)}
     svg = chart(curves, 60, "title")

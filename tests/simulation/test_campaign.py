@@ -5,8 +5,9 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,8 @@ import threadpoolctl
 
 import securestate as ss
 from securestate.attacks import Bias, Drawn
-from securestate.simulation import PlantFamily, Recipe, Scenario, _campaign, _work, campaign
+from securestate.attacks.base import SensorAttack
+from securestate.simulation import PlantFamily, Recipe, Scenario, _campaign, _work, campaign, compare
 from securestate.simulation._campaign import cell_key
 from securestate.simulation._identity import code_key
 from tests.simulation.campaigns import (
@@ -367,3 +369,77 @@ def test_a_wrong_argument_is_named(make: Callable[[], object], argument: str) ->
     with pytest.raises(ss.InputError) as caught:
         make()
     assert caught.value.argument.startswith(argument)
+
+
+RATE = 0.01
+HELD = [object()]
+
+
+def strict(plant: ss.Plant) -> ss.InnovationGate:
+    """Read a constant of this module."""
+    return ss.InnovationGate(plant, false_alarm_rate=RATE)
+
+
+def unreadable(plant: ss.Plant) -> ss.KalmanFilter:
+    """Read something of this module that cannot be looked into."""
+    assert HELD
+    return ss.KalmanFilter(plant)
+
+
+def test_a_constant_that_an_own_function_reads_is_part_of_its_key(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = Recipe("strict", strict)
+    assert before.key == Recipe("again", strict).key
+    first = before.key
+    monkeypatch.setitem(globals(), "RATE", 0.2)
+    assert Recipe("strict", strict).key != first
+
+
+def test_a_function_that_reads_what_cannot_be_looked_into_is_refused_with_out(tmp_path: Path) -> None:
+    with pytest.raises(ss.InputError, match="because out is given"):
+        campaign(scenarios(10)[:1], [Recipe("unreadable", unreadable)], out=tmp_path)
+
+
+@dataclass(frozen=True)
+class Secretive(SensorAttack):
+    """Keeps its size where nobody sees it."""
+
+    def hide(self, size: float) -> "Secretive":
+        object.__setattr__(self, "size", size)
+        return self
+
+    def inject(self, view: Any) -> Any:
+        return vars(self)["size"]
+
+
+def test_an_adversary_with_attributes_that_are_no_fields_is_refused_with_out(tmp_path: Path) -> None:
+    scenario = Scenario("hidden", PLANT, Secretive(on="a").hide(3.0), 20, 10, seed=1)
+    assert campaign([scenario], recipes()).table.mse.notnull().all()
+    with pytest.raises(ss.InputError, match="because out is given"):
+        campaign([scenario], recipes(), out=tmp_path)
+
+
+def test_an_attack_that_begins_after_the_end_is_refused() -> None:
+    with pytest.raises(ss.InputError, match="attack of scenario 'late': expected a start below 20"):
+        Scenario("late", PLANT, Bias(1.0, on="a") + Bias(1.0, on="b", start=20), 20, 10, seed=1)
+
+
+def test_a_function_that_makes_no_estimator_is_named() -> None:
+    result = campaign(scenarios(10)[:1], [Recipe("nothing", noted)])
+    assert "estimator 'nothing': expected a function that returns an Estimator" in str(
+        result.table.refusal.sel(estimator="nothing").values
+    )
+
+
+def noted(plant: ss.Plant) -> Any:
+    """Forget to return anything."""
+    ss.KalmanFilter(plant)
+
+
+def test_what_is_bound_shows_in_a_name() -> None:
+    given = [functools.partial(ss.InnovationGate, false_alarm_rate=0.001), ss.KalmanFilter]
+    result = compare(PLANT, given, [None], runs=1, steps=5, seed=1)
+    assert list(result.table.estimator.values) == [
+        "oracle",
+        "InnovationGate(false_alarm_rate=0.001)",
+        "KalmanFilter",
+    ]
