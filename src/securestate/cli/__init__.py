@@ -13,7 +13,7 @@ from typing import Annotated, Any, NoReturn
 import typer
 
 from securestate.cli import compare, estimate, plant
-from securestate.cli.exits import HELP, Exit, outcome
+from securestate.cli.exits import HELP, HELP_WITHOUT_LIARS, Exit, outcome
 
 app = typer.Typer(
     help="Estimate the state of a plant while some of its sensors lie, and name the liars.",
@@ -25,7 +25,7 @@ app = typer.Typer(
 )
 plants = typer.Typer(help="Look at a plant before any data.", no_args_is_help=True)
 app.command("estimate", epilog=HELP)(estimate.estimate)
-app.command("compare", epilog=HELP)(compare.compare)
+app.command("compare", epilog=HELP_WITHOUT_LIARS)(compare.compare)
 plants.command("check", epilog=HELP)(plant.check)
 app.add_typer(plants, name="plant")
 

@@ -70,8 +70,9 @@ def _show(result: Comparison, written: Sequence[Path]) -> None:
     shown.print(f"{result!r}, mean squared error over the oracle's (geometric mean over scenarios)")
     shown.print()
     grid = console.table(
-        "estimator", "ratio", "worst", "within 1.5", "false alarms", "detected", "µs per step", "scenarios"
+        "estimator", "ratio", "worst", "within\n1.5", "false\nalarms", "detected", "µs per\nstep", "runs in"
     )
+    grid.columns[0].no_wrap = True
     order = result.ranking
     yardstick = order.index == ORACLE
     for name, row in pd.concat([order[~yardstick], order[yardstick]]).iterrows():

@@ -30,6 +30,9 @@ HELP = (
 )
 
 
+HELP_WITHOUT_LIARS = "Exit codes: 0 done · 1 internal error · 2 bad usage or bad input · 130 interrupted."
+
+
 def outcome(command: Callable[[], object]) -> Exit:
     """Run a command, turn every way it can end into an exit code, and tell problems on stderr."""
     try:
