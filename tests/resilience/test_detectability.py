@@ -172,3 +172,8 @@ def test_a_cut_that_is_no_size_is_refused(cut: float) -> None:
 def test_a_sensor_that_does_not_exist_is_refused() -> None:
     with pytest.raises(InputError, match=r"sensor: expected an index in 0\.\.0, received 1"):
         unobserved_modes(seen_by([[1.0]], [1.0]), 1)
+
+
+def test_numbers_at_the_end_of_their_range_hide_nothing_and_raise_nothing() -> None:
+    sensors = [Sensor("a", C=[1, 0], R=1.0), Sensor("b", C=[1, 1], R=1.0)]
+    assert undetectable_modes(Plant([[1e308, 0.1], [0.0, 0.9]], np.eye(2), sensors)) == ()

@@ -172,8 +172,12 @@ def _means(values: Complex, reach: float) -> Iterator[complex]:
 def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
     """Return the smallest relative singular value of [A - value I; C] and the directions (d, n) lost."""
     n = len(A)
-    stacked = np.vstack([A - value * np.eye(n), C])
-    rows, columns = _equilibrium(np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)]))
+    with np.errstate(over="ignore"):
+        stacked = np.vstack([A - value * np.eye(n), C])
+        sizes = np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)])
+    if not np.all(np.isfinite(sizes)):  # beyond what numbers can tell
+        return np.inf, np.empty((0, n), dtype=np.complex128)
+    rows, columns = _equilibrium(sizes)
     scaled = rows[:, None] * (stacked if value.imag else stacked.real) * columns
     _, sizes, Vh = np.linalg.svd(scaled, full_matrices=False)
     sizes = sizes / max(sizes[0], 1.0)  # 1 is the size of a row; all can be smaller if A is value I
