@@ -235,6 +235,25 @@ def test_a_chart_labels_every_line_once_without_overlap_and_stays_inside() -> No
     assert "scored from 60" in svg
 
 
+@pytest.mark.parametrize(
+    ("scored_from", "attack_from", "said"),
+    [
+        (0, None, []),
+        (0, 0, []),
+        (60, None, ["scored from 60"]),
+        (60, 60, ["attack and scores from 60"]),
+        (60, 90, ["scored from 60", "attack from 90"]),
+        (0, 90, ["attack from 90"]),
+        (60, 0, ["scored from 60"]),
+    ],
+)
+def test_a_chart_marks_where_scores_and_attack_start(
+    scored_from: int, attack_from: int | None, said: list[str]
+) -> None:
+    svg = chart({"oracle": np.ones(200)}, scored_from, "title", attack_from)
+    assert re.findall(r'<text class="mark"[^>]*>([^<]*)</text>', svg) == said
+
+
 def test_an_estimator_keeps_its_colour_where_another_one_cannot_run() -> None:
     curves = {name: np.ones(9) for name in ("oracle", "a", "b")}
     colour = '<polyline class="line c2"'

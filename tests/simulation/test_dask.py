@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import dask
 import distributed
 import pytest
 
@@ -51,7 +52,7 @@ def test_a_worker_killed_in_the_middle_changes_no_number(cluster: distributed.Lo
     def kill_one(done: int, total: int) -> None:
         """As soon as some results have arrived, while others are being worked on."""
         if 0 < done < total and not killed:
-            with distributed.Client(cluster.scheduler_address) as client:
+            with distributed.Client(cluster.scheduler_address, set_as_default=False) as client:
                 pid = next(iter(client.run(os.getpid).values()))
             os.kill(pid, signal.SIGKILL)
             killed.append(pid)
@@ -67,6 +68,14 @@ def test_a_cluster_of_our_own_is_gone_afterwards(by_threads: Comparison) -> None
     assert (result.table.mse.values == both.mse.values).all()
     with pytest.raises(ValueError, match="No global client found"):
         distributed.get_client()
+
+
+def test_the_users_own_dask_is_left_as_it_was(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("securestate.simulation._campaign.PATIENCE", "0.5s")
+    before = dask.config.get("scheduler", None)
+    with pytest.raises(ss.InputError):
+        compare(PLANT, ["kalman"], [None], runs=1, steps=5, seed=1, dask="tcp://127.0.0.1:1")
+    assert dask.config.get("scheduler", None) == before
 
 
 def test_a_comparison_that_is_done_needs_no_cluster(tmp_path: Path) -> None:

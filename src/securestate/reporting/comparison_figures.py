@@ -79,7 +79,10 @@ def _charts(comparison: Comparison, scenarios: Sequence[str], labels: Mapping[st
             for e in one["estimator"].to_numpy()
         }
         if any(curve.size for curve in curves.values()):
-            drawing = chart(curves, int(one["score_from"]), f"Squared error over time: {name}")
+            start = int(one["attack_from"])
+            attack_from = None if start < 0 else start
+            title = f"Squared error over time: {name}"
+            drawing = chart(curves, int(one["score_from"]), title, attack_from)
             figures.append(f"<figure><figcaption>{escape(labels[name])}</figcaption>{drawing}</figure>")
     return f'<div class="charts">{"".join(figures)}</div>'
 

@@ -26,7 +26,7 @@ GAP = 14.0
 """Pixels between labels."""
 
 
-def chart(curves: Mapping[str, Float], scored_from: int, title: str) -> str:
+def chart(curves: Mapping[str, Float], scored_from: int, title: str, attack_from: int | None = None) -> str:
     """One drawing as SVG; the first curve is the oracle's, dashed.
 
     Args:
@@ -34,6 +34,7 @@ def chart(curves: Mapping[str, Float], scored_from: int, title: str) -> str:
             so that an estimator has the same colour in all drawings.
         scored_from: first sample that counts, marked if it is not the first.
         title: read to those who cannot see the drawing.
+        attack_from: first sample under attack, marked if scoring does not start there; None: nobody lies.
     """
     steps = max(curve.size for curve in curves.values())
     kinds = {name: _kind(i) for i, name in enumerate(curves)}
@@ -44,7 +45,7 @@ def chart(curves: Mapping[str, Float], scored_from: int, title: str) -> str:
     labels = _labels({name: float(y[-1]) for name, y in heights.items()}, kinds)
     return (
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">'
-        f"{_grid(low, high)}{_time(steps, scored_from)}{lines}{labels}</svg>"
+        f"{_grid(low, high)}{_time(steps)}{_marks(steps, scored_from, attack_from)}{lines}{labels}</svg>"
     )
 
 
@@ -126,18 +127,27 @@ def _power(power: int) -> str:
     return f"{10.0**power:g}" if -3 <= power <= 3 else compact(10.0**power)
 
 
-def _time(steps: int, scored_from: int) -> str:
-    """Samples along the lower edge, and a mark where scoring starts."""
-    ends = (
+def _time(steps: int) -> str:
+    """Samples along the lower edge."""
+    return (
         f'<text x="{LEFT}" y="{BOTTOM + 18}">0</text>'
         f'<text x="{RIGHT}" y="{BOTTOM + 18}" text-anchor="end">sample {steps - 1}</text>'
     )
-    if not scored_from:
-        return ends
-    x = LEFT + scored_from / max(steps - 1, 1) * (RIGHT - LEFT)
-    side, anchor = (1, "start") if x < (LEFT + RIGHT) / 2 else (-1, "end")
+
+
+def _marks(steps: int, scored_from: int, attack_from: int | None) -> str:
+    """Where scoring and the attack start, if not at the first sample; one mark if at the same."""
+    if attack_from == scored_from:
+        return _mark(steps, scored_from, f"attack and scores from {scored_from}", 0) if scored_from else ""
+    scores = _mark(steps, scored_from, f"scored from {scored_from}", 0) if scored_from else ""
+    return scores + (_mark(steps, attack_from, f"attack from {attack_from}", 1) if attack_from else "")
+
+
+def _mark(steps: int, sample: int, text: str, row: int) -> str:
+    x = LEFT + sample / max(steps - 1, 1) * (RIGHT - LEFT)
+    side, anchor = (4, "start") if x < (LEFT + RIGHT) / 2 else (-4, "end")
+    place = f'x="{x + side:.0f}" y="{TOP + 8 + 14 * row}" text-anchor="{anchor}"'
     return (
-        f'{ends}<line class="mark" x1="{x:.0f}" y1="{TOP}" x2="{x:.0f}" y2="{BOTTOM}"/>'
-        f'<text class="mark" x="{x + side * 4:.0f}" y="{TOP + 8}" text-anchor="{anchor}">'
-        f"scored from {scored_from}</text>"
+        f'<line class="mark" x1="{x:.0f}" y1="{TOP}" x2="{x:.0f}" y2="{BOTTOM}"/>'
+        f'<text class="mark" {place}>{text}</text>'
     )

@@ -171,8 +171,8 @@ def _client(connect: Callable[..., Any], dask: str, width: int) -> Any:
         raise InputError("dask", expected, repr(dask))
     try:
         if dask != "local":
-            return connect(dask, timeout=PATIENCE)
-        own = {"n_workers": width, "threads_per_worker": 1, "processes": True}
+            return connect(dask, timeout=PATIENCE, set_as_default=False)
+        own = {"n_workers": width, "threads_per_worker": 1, "processes": True, "set_as_default": False}
         with _children_deaf_to_interrupts():
             return connect(**own, dashboard_address=":0", silence_logs=logging.CRITICAL)
     except (OSError, ValueError) as error:

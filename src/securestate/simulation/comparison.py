@@ -60,8 +60,9 @@ class Comparison:
         table: xarray Dataset over (scenario, estimator) with the variables of `MEANING`, `refusal` (empty, or
             why an estimator could not run) and, over time (scenario, estimator, time), `squared_error`, the
             mean over runs, and `squared_error_half`, half the width of its 95 % interval. Coordinates
-            `plant`, `attack`, `attacked` (whether there is an adversary at all), `steps`, `score_from` and
-            `seed` of the scenarios. The same for any number of workers, to the bit.
+            `plant`, `attack`, `attacked` (whether there is an adversary at all), `attack_from` (its first
+            sample, -1 if there is none), `steps`, `score_from` and `seed` of the scenarios. The same for any
+            number of workers, to the bit.
         sensors: pandas DataFrame, one row per scenario, estimator and sensor: counts and rates.
         timing: pandas DataFrame (scenario, estimator), microseconds per step of one filter on one thread, the
             fastest of a few; it depends on the machine and its load.
@@ -190,6 +191,7 @@ def _table(
         "plant": ("scenario", [scenario.plant_name for scenario in scenarios]),
         "attack": ("scenario", [scenario.attack_name for scenario in scenarios]),
         "attacked": ("scenario", [scenario.attack is not None for scenario in scenarios]),
+        "attack_from": ("scenario", [min((p.start for p in s.parts), default=-1) for s in scenarios]),
         "steps": ("scenario", [scenario.steps for scenario in scenarios]),
         "score_from": ("scenario", [scenario.score_from for scenario in scenarios]),
         "seed": ("scenario", [scenario.seed for scenario in scenarios]),
