@@ -65,8 +65,8 @@ class ChiSquareFilter(Estimator):
         filter takes in complete readings only and predicts otherwise; its test is then a little too strict
         until the filter has settled again.
         "hold" does not keep the stated rate: a filter that did not hear a reading is worse at the next one,
-        and its steady-state threshold does not know it. Where modes fade quickly the rate is up to doubled; where
-        they do not, an honest sensor can stay alarmed for long (docs/detectors.md has figures).
+        and its steady-state threshold does not know it. Where modes fade quickly the rate is up to doubled;
+        where they do not, an honest sensor can stay alarmed for long (docs/detectors.md has figures).
         A protected sensor is tested like any other: the classical detectors do not know who cannot lie.
         NO_MEASUREMENT: every sensor was left out or sent nothing. ILL_CONDITIONED: as `KalmanFilter`.
 
