@@ -271,6 +271,10 @@ SCENARIO = ("[[scenario]]", 'plant = "five"', 'attacks = ["bias"]')
             ["estimator 'kalman': gamma", "none"],
         ),
         (with_lines("[[estimator]]", 'method = "sparse"', "gamma = -1"), ["estimator 'sparse': gamma"]),
+        (
+            with_lines("[[estimator]]", 'method = "sparse"', 'kalman_probability = ""'),
+            ["estimator 'sparse': kalman_probability", "real numbers"],
+        ),
         (with_lines("[[estimator]]", 'method = "sparse"', 'refit = "yes"'), ["estimator 'sparse': refit"]),
         (
             with_lines("[[estimator]]", 'method = "kalman"', 'name = "oracle"'),

@@ -33,7 +33,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate import _kernels
-from securestate._checks import yes_or_no
+from securestate._checks import real_array, yes_or_no
 from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
@@ -188,7 +188,11 @@ def _check_settings(
         raise InputError("form", '"robust" or "paper"', repr(form))
     if probability is not None and gamma is not None:
         raise InputError("gamma", "either gamma or kalman_probability", "both")
-    if probability is not None and not 0 < probability < 1:
+    if probability is not None:
+        real_array("kalman_probability", probability, InputError)
+    if gamma is not None:
+        real_array("gamma", gamma, InputError)
+    if probability is not None and not (np.ndim(probability) == 0 and 0 < probability < 1):
         raise InputError("kalman_probability", "a number in (0, 1)", repr(probability))
     if form == "paper" and gamma is None:
         raise InputError("gamma", 'a number > 0, because form="paper" has no probability knob', "None")
