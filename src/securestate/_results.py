@@ -26,9 +26,10 @@ def write_run(run: Run, path: str | PathLike[str]) -> None:
     """Write a run as CSV, Parquet or NetCDF; an existing file is replaced when the new one is complete.
 
     CSV and Parquet have the columns of `Run.to_pandas`: time, x.<state>, x_std.<state>, trust.<sensor>,
-    suspected.<sensor>, attack.<channel>, innovation.<channel>, innovation_std.<channel>, status and the
-    diagnostics; a batch begins with a column run. In CSV an unknown number is an empty cell, suspected is 0
-    or 1, and times are ISO 8601. NetCDF holds the labelled arrays of `Run.to_xarray`, covariance included.
+    suspected.<sensor>, attack.<channel>, attack_std.<channel>, innovation.<channel>,
+    innovation_std.<channel>, status and the diagnostics; a batch begins with a column run. In CSV an unknown
+    number is an empty cell, suspected is 0 or 1, and times are ISO 8601. NetCDF holds the labelled arrays of
+    `Run.to_xarray`, covariance included.
 
     Args:
         path: .csv, .parquet or .nc in a folder that exists.

@@ -96,6 +96,10 @@ def assert_equals_textbook(run: Run, expected: Textbook, tolerance: float = 1e-8
     np.testing.assert_allclose(run.P, expected.P, rtol=0, atol=tolerance * np.abs(expected.P).max())
     size = np.nanmax(np.abs(expected.attack), initial=1.0)
     np.testing.assert_allclose(run.attack, expected.attack, rtol=0, atol=tolerance * size)
+    lies = expected.left_out[:, run.plant.channel_sensor] & ~np.isnan(run.attack)
+    C = np.broadcast_to(run.plant.C, (len(run.x), run.plant.m, run.plant.n))
+    spread = np.sqrt(np.einsum("tij,tjk,tik->ti", C, expected.P, C) + np.diag(run.plant.R)) * run.plant.scale
+    np.testing.assert_allclose(run.attack_std, np.where(lies, spread, np.nan), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("name", "golden"), [("gate", "gate"), ("predict", "chi2central")])

@@ -26,6 +26,7 @@ SHAPES = {
     "P": (3, 3),
     "trust": (5,),
     "attack": (5,),
+    "attack_std": (5,),
     "suspected": (5,),
     "innovation": (5,),
     "innovation_std": (5,),

@@ -61,6 +61,7 @@ def made_run(
         P=None,
         trust=np.where(suspected, 0.05, 1.0 - 0.1 * rng.random((samples, sensors))),
         attack=attack,
+        attack_std=np.where(suspected, 0.5, np.nan),
         suspected=suspected,
         innovation=2.0 * noise + attack,
         innovation_std=np.full((samples, plant.m), 2.0),

@@ -40,6 +40,7 @@ pub fn record(py: Python<'_>, record: Record) -> PyResult<Bound<'_, PyDict>> {
     }
     put(&arrays, "trust", record.trust, &[runs, steps, sensors])?;
     put(&arrays, "attack", record.attack, &[runs, steps, m])?;
+    put(&arrays, "attack_std", record.attack_std, &[runs, steps, m])?;
     put(&arrays, "suspected", record.suspected, &[runs, steps, sensors])?;
     put(&arrays, "innovation", record.innovation, &[runs, steps, m])?;
     put(&arrays, "innovation_std", record.innovation_std, &[runs, steps, m])?;

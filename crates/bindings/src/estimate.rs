@@ -10,7 +10,7 @@ use securestate_kernels::{Dims, Output};
 pub struct Estimate {
     dims: Dims,
     names: &'static [&'static str],
-    /// x, x_std, trust, attack, innovation, innovation_std, diagnostics, P, one after the other.
+    /// x, x_std, trust, attack, attack_std, innovation, innovation_std, diagnostics, P, one after the other.
     numbers: Box<[f64]>,
     suspected: Box<[u8]>,
     status: u8,
@@ -19,7 +19,7 @@ pub struct Estimate {
 impl Estimate {
     pub fn new(dims: Dims, names: &'static [&'static str]) -> Self {
         let (n, m, sensors) = (dims.states, dims.channels, dims.sensors);
-        let total = 2 * n + sensors + 3 * m + names.len() + n * n;
+        let total = 2 * n + sensors + 4 * m + names.len() + n * n;
         Self {
             dims,
             names,
@@ -36,6 +36,7 @@ impl Estimate {
         let (x_std, rest) = rest.split_at_mut(n);
         let (trust, rest) = rest.split_at_mut(sensors);
         let (attack, rest) = rest.split_at_mut(m);
+        let (attack_std, rest) = rest.split_at_mut(m);
         let (innovation, rest) = rest.split_at_mut(m);
         let (innovation_std, rest) = rest.split_at_mut(m);
         let (diagnostics, covariance) = rest.split_at_mut(self.names.len());
@@ -45,6 +46,7 @@ impl Estimate {
             covariance: Some(covariance),
             trust,
             attack,
+            attack_std,
             suspected: &mut self.suspected,
             innovation,
             innovation_std,
@@ -93,17 +95,24 @@ impl Estimate {
         self.part(py, skip, self.dims.channels)
     }
 
+    /// Standard deviation of its error in sensor units, NaN where none is stated, shape (m,).
+    #[getter]
+    fn attack_std<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        let skip = 2 * self.dims.states + self.dims.sensors + self.dims.channels;
+        self.part(py, skip, self.dims.channels)
+    }
+
     /// y − C x[k|k−1] − D u in sensor units, shape (m,).
     #[getter]
     fn innovation<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        let skip = 2 * self.dims.states + self.dims.sensors + self.dims.channels;
+        let skip = 2 * self.dims.states + self.dims.sensors + 2 * self.dims.channels;
         self.part(py, skip, self.dims.channels)
     }
 
     /// Its standard deviation when nobody lies, shape (m,).
     #[getter]
     fn innovation_std<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
-        let skip = 2 * self.dims.states + self.dims.sensors + 2 * self.dims.channels;
+        let skip = 2 * self.dims.states + self.dims.sensors + 3 * self.dims.channels;
         self.part(py, skip, self.dims.channels)
     }
 
@@ -122,7 +131,7 @@ impl Estimate {
     /// Numbers about the step itself, by name.
     #[getter]
     fn diagnostics<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
-        let skip = 2 * self.dims.states + self.dims.sensors + 3 * self.dims.channels;
+        let skip = 2 * self.dims.states + self.dims.sensors + 4 * self.dims.channels;
         let values = PyDict::new(py);
         for (name, value) in self.names.iter().zip(&self.numbers[skip..]) {
             values.set_item(name, value)?;

@@ -29,6 +29,8 @@ pub enum Status {
     NotConverged = 2,
     /// The channels that are left do not determine the state: treat the estimate as a guess.
     IllConditioned = 3,
+    /// The method's own recursion has broken down; what is reported comes from a safer one.
+    BrokenDown = 4,
 }
 
 /// Where a step writes its results. Units are those of the normalised plant; the driver converts.
@@ -44,6 +46,8 @@ pub struct Output<'a> {
     pub trust: &'a mut [f64],
     /// Estimated injection per channel, NaN where there is none, (m,).
     pub attack: &'a mut [f64],
+    /// Standard deviation of the error of `attack`, NaN where the method states none, (m,).
+    pub attack_std: &'a mut [f64],
     /// 1 where a sensor is suspected, (N,).
     pub suspected: &'a mut [u8],
     /// y − C x[k|k−1] − D u, NaN where missing, (m,).

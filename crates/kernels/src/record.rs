@@ -26,6 +26,8 @@ pub struct Record {
     pub trust: Vec<f64>,
     /// (copies, steps, m)
     pub attack: Vec<f64>,
+    /// (copies, steps, m)
+    pub attack_std: Vec<f64>,
     /// (copies, steps, N)
     pub suspected: Vec<u8>,
     /// (runs, steps, m)
@@ -55,6 +57,7 @@ impl Record {
             covariance: vec![0.0; if covariance { shared * n * n } else { 0 }],
             trust: vec![0.0; shared * sensors],
             attack: vec![0.0; shared * m],
+            attack_std: vec![0.0; shared * m],
             suspected: vec![0; shared * sensors],
             innovation: vec![0.0; samples * m],
             innovation_std: vec![0.0; shared * m],
@@ -73,6 +76,7 @@ impl Record {
             &mut self.covariance,
             &mut self.trust,
             &mut self.attack,
+            &mut self.attack_std,
             &mut self.innovation_std,
         ] {
             *numbers = numbers.repeat(self.runs);
@@ -97,6 +101,7 @@ impl Record {
         let mut covariance = shared.shares(&mut self.covariance);
         let mut trust = shared.shares(&mut self.trust);
         let mut attack = shared.shares(&mut self.attack);
+        let mut attack_std = shared.shares(&mut self.attack_std);
         let mut suspected = shared.shares(&mut self.suspected);
         let mut innovation = own.shares(&mut self.innovation);
         let mut innovation_std = shared.shares(&mut self.innovation_std);
@@ -110,6 +115,7 @@ impl Record {
                 covariance: covariance(),
                 trust: trust(),
                 attack: attack(),
+                attack_std: attack_std(),
                 suspected: suspected(),
                 innovation: innovation(),
                 innovation_std: innovation_std(),
@@ -129,6 +135,7 @@ pub struct RunRecord<'a> {
     covariance: &'a mut [f64],
     trust: &'a mut [f64],
     attack: &'a mut [f64],
+    attack_std: &'a mut [f64],
     suspected: &'a mut [u8],
     pub(crate) innovation: &'a mut [f64],
     innovation_std: &'a mut [f64],
@@ -146,6 +153,7 @@ impl RunRecord<'_> {
             covariance: if self.covariance.is_empty() { None } else { Some(row(self.covariance, k, steps)) },
             trust: row(self.trust, k, steps),
             attack: row(self.attack, k, steps),
+            attack_std: row(self.attack_std, k, steps),
             suspected: row(self.suspected, k, steps),
             innovation: row(self.innovation, k, steps),
             innovation_std: row(self.innovation_std, k, steps),

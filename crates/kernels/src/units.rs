@@ -54,6 +54,7 @@ impl Units {
     pub fn restore(&self, out: &mut Output<'_>) {
         for (i, &scale) in self.scale.iter().enumerate() {
             out.attack[i] *= scale;
+            out.attack_std[i] *= scale;
             out.innovation[i] *= scale;
             out.innovation_std[i] *= scale;
         }

@@ -30,6 +30,7 @@ class Status(IntEnum):
     NO_MEASUREMENT = 1
     NOT_CONVERGED = 2
     ILL_CONDITIONED = 3
+    BROKEN_DOWN = 4
 
     @property
     def advice(self) -> str:
@@ -44,6 +45,9 @@ _ADVICE = {
     ),
     Status.NOT_CONVERGED: "The solver stopped at its cap; diagnostic 'gap' says how far it is from the end.",
     Status.ILL_CONDITIONED: "The sensors that are left do not determine the state; the estimate is a guess.",
+    Status.BROKEN_DOWN: (
+        "A covariance of the method is none any more; the estimate is that of the protected sensors alone."
+    ),
 }
 
 

@@ -35,7 +35,8 @@ class InnovationGate(Estimator):
 
     Notes:
         `Run.trust` is 1 for a sensor in use, 0 for one left out, NaN where it sent nothing. `Run.suspected`
-        says who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others.
+        says who was left out, `Run.attack` is y - C x[k|k] - D u for them and 0 for the others;
+        `Run.attack_std` is stated for them only.
         `Run.diagnostics`: "log_likelihood", "nis" and "channels" of the channels in use, as in
         `KalmanFilter`; "alarms", how many sensors were left out; "excess", the largest squared distance over
         its threshold.

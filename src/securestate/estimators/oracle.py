@@ -97,6 +97,7 @@ class OracleEstimate:
     P: Float
     trust: Float
     attack: Float
+    attack_std: Float
     suspected: Bool
     innovation: Float
     innovation_std: Float
@@ -145,6 +146,7 @@ def _first(run: Run) -> OracleEstimate:
         P=np.empty((0, 0)) if run.P is None else run.P[0],
         trust=run.trust[0],
         attack=run.attack[0],
+        attack_std=run.attack_std[0],
         suspected=run.suspected[0],
         innovation=run.innovation[0],
         innovation_std=run.innovation_std[0],

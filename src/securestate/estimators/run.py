@@ -25,6 +25,7 @@ _AXES = {
     "trust": "sensor",
     "suspected": "sensor",
     "attack": "channel",
+    "attack_std": "channel",
     "innovation": "channel",
     "innovation_std": "channel",
 }
@@ -43,6 +44,7 @@ class Run:
         P: its covariance, (..., T, n, n), or None when it was not asked for.
         trust: per sensor in [0, 1], NaN where the sensor sent nothing, (..., T, N).
         attack: estimated injection in sensor units, NaN where the method has no estimate, (..., T, m).
+        attack_std: standard deviation of its error, NaN where the method states none, (..., T, m).
         suspected: whether a sensor is suspected, (..., T, N).
         innovation: y − C x[k|k−1] − D u in sensor units, NaN where missing, (..., T, m).
         innovation_std: its standard deviation when nobody lies, (..., T, m).
@@ -59,6 +61,7 @@ class Run:
     P: Float | None
     trust: Float
     attack: Float
+    attack_std: Float
     suspected: NDArray[np.bool_]
     innovation: Float
     innovation_std: Float

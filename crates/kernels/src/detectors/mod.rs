@@ -14,6 +14,7 @@ pub mod local;
 use crate::codec::{Decoder, Encoder};
 use crate::detectors::apart::Apart;
 use crate::detectors::local::{LocalFilter, Locals};
+use crate::kalman::gains::innovation_deviations;
 use crate::kalman::{self, Kalman};
 use crate::{Dims, Error, Estimator, Output, Result};
 
@@ -151,16 +152,16 @@ impl Detector {
     }
 
     /// Trust, suspicion and attack of what was left out; returns how many sensors that were.
-    fn report(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> usize {
+    fn report(&self, state: &mut State, (y, u): (&[f64], &[f64]), any: bool, out: &mut Output<'_>) -> usize {
         let model = self.filter.model();
         let left_out = |i: usize| !y[i].is_nan() && state.heard[i].is_nan();
-        let any = (0..y.len()).any(left_out);
         if any {
             model.innovation(state.filter.k, &state.filter.x, (y, u), &mut state.residual);
         }
         for (i, &sensor) in model.channel_sensor.iter().enumerate() {
             if !any || !left_out(i) {
                 out.attack[i] = if y[i].is_nan() { f64::NAN } else { 0.0 };
+                out.attack_std[i] = f64::NAN;
                 continue;
             }
             out.attack[i] = state.residual[i];
@@ -212,9 +213,13 @@ impl Estimator for Detector {
         let kalman::State { k, x, p, scratch, .. } = &mut state.filter;
         self.filter.recursion.correct(p, *k, &state.heard, keep);
         p.gains.correct_with_innovation(model, x, scratch, out);
+        let left_out = (0..y.len()).any(|i| !y[i].is_nan() && state.heard[i].is_nan());
+        if left_out {
+            innovation_deviations(model, *k, p.posterior(), &mut scratch.channel, out.attack_std);
+        }
         self.filter.recursion.predict(p, *k);
         state.apart.keep(p.cached);
-        out.diagnostics[3] = self.report(state, y, u, out) as f64;
+        out.diagnostics[3] = self.report(state, (y, u), left_out, out) as f64;
         out.diagnostics[4] = excess;
         self.filter.predict_mean(&mut state.filter, u);
         Ok(())

@@ -135,6 +135,12 @@ impl Covariance {
         self.prior.is_close(&self.work, &self.before, &self.after, tolerance)
     }
 
+    /// P[k|k], between [`Recursion::correct`] and [`Recursion::predict`], unless the gains were cached.
+    #[must_use]
+    pub fn posterior(&self) -> &Ud {
+        &self.work
+    }
+
     /// Equal to the bit in everything that decides how it goes on.
     #[must_use]
     pub fn same(&self, other: &Self) -> bool {

@@ -194,6 +194,7 @@ impl Gains {
             covariance.copy_from_slice(&self.covariance);
         }
         out.attack.fill(f64::NAN);
+        out.attack_std.fill(f64::NAN);
         out.suspected.fill(0);
         out.trust.fill(f64::NAN);
         for &channel in self.channels() {
@@ -206,7 +207,7 @@ impl Gains {
 }
 
 /// sqrt diag(C P Cᵀ + R) of all channels, whether they arrived or not.
-fn innovation_deviations(model: &Model, k: usize, p: &Ud, f: &mut [f64], out: &mut [f64]) {
+pub fn innovation_deviations(model: &Model, k: usize, p: &Ud, f: &mut [f64], out: &mut [f64]) {
     let (m, c_t) = (out.len(), model.c_t(k));
     for (i, variance) in out.iter_mut().enumerate() {
         *variance = model.noise.r[i * m + i];

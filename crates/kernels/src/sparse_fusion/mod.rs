@@ -145,6 +145,7 @@ impl SparseFusion {
     fn judge(&self, state: &State, out: &mut Output<'_>) {
         let m = &self.m;
         let d = self.elements();
+        out.attack_std.fill(f64::NAN);
         for sensor in 0..m.dims.sensors {
             let ratio = self.size(&state.g, sensor) / m.suspicion;
             out.trust[sensor] = 1.0 / (1.0 + ratio * ratio);
