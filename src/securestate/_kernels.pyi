@@ -9,7 +9,19 @@ from securestate.plant import Plant
 
 _Float = NDArray[np.float64]
 
-__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "detector", "kalman", "simulate", "sparse_fusion"]
+__all__ = [
+    "Estimate",
+    "Filter",
+    "Kernel",
+    "PenaltySolver",
+    "detector",
+    "joint_fusion",
+    "joint_moments",
+    "kalman",
+    "protected_kalman",
+    "simulate",
+    "sparse_fusion",
+]
 
 @final
 class Kernel:
@@ -88,3 +100,27 @@ def simulate(
     y: _Float,
     noise: _Float,
 ) -> None: ...
+def protected_kalman(
+    plant: Plant, protected: tuple[Plant, _Float | None, list[int]], quantiles: _Float
+) -> Kernel: ...
+def joint_fusion(
+    plant: Plant,
+    stacks: list[tuple[list[int], list[int]]],
+    *,
+    eta: _Float,
+    form: str,
+    fusion: str,
+    protected: tuple[Plant, _Float | None, list[int]] | None,
+    quantiles: _Float,
+    prior: _Float | None,
+) -> tuple[Kernel, bool]: ...
+def joint_moments(
+    plant: Plant,
+    stacks: list[tuple[list[int], list[int]]],
+    *,
+    eta: _Float,
+    form: str,
+    fusion: str,
+    prior: _Float,
+    heard: NDArray[np.bool_],
+) -> dict[str, Any]: ...

@@ -7,6 +7,7 @@ mod detector;
 mod errors;
 mod estimate;
 mod filter;
+mod joint_fusion;
 mod kalman;
 mod kernel;
 mod plant;
@@ -22,6 +23,8 @@ mod _kernels {
     use super::estimate::Estimate;
     #[pymodule_export]
     use super::filter::Filter;
+    #[pymodule_export]
+    use super::joint_fusion::{joint_fusion, joint_moments, protected_kalman};
     #[pymodule_export]
     use super::kalman::kalman;
     #[pymodule_export]

@@ -284,7 +284,7 @@ impl<E: Estimator + 'static> Filter for Bank<E> {
         let y = |r: usize| &block.y[r * steps * dims.channels..][from * dims.channels..to * dims.channels];
         let u = |r: usize| &block.u[r * width..][from * dims.inputs..to * dims.inputs];
         let plan = self.plan(&(0..runs).map(y).collect::<Vec<_>>(), to - from);
-        if plan.is_none() {
+        if plan.is_none() || !self.design.estimator.shares_results() {
             record.unshare();
         }
         let alone = record.copies == runs;

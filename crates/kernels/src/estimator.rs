@@ -60,6 +60,71 @@ pub struct Output<'a> {
     pub status: &'a mut u8,
 }
 
+/// Arrays that an [`Output`] can point to: the results of an estimator inside another one.
+#[derive(Debug, Clone)]
+pub struct Buffers {
+    /// x[k|k], (n,).
+    pub x: Vec<f64>,
+    /// Its deviations, (n,).
+    pub x_std: Vec<f64>,
+    /// P[k|k], (n, n).
+    pub covariance: Vec<f64>,
+    /// (N,)
+    pub trust: Vec<f64>,
+    /// (m,)
+    pub attack: Vec<f64>,
+    /// (m,)
+    pub attack_std: Vec<f64>,
+    /// (N,)
+    pub suspected: Vec<u8>,
+    /// (m,)
+    pub innovation: Vec<f64>,
+    /// (m,)
+    pub innovation_std: Vec<f64>,
+    /// One per name.
+    pub diagnostics: Vec<f64>,
+    /// How the step went.
+    pub status: u8,
+}
+
+impl Buffers {
+    /// Room for one sample.
+    #[must_use]
+    pub fn new(dims: Dims, diagnostics: usize) -> Self {
+        let Dims { states: n, channels: m, sensors, .. } = dims;
+        Self {
+            x: vec![0.0; n],
+            x_std: vec![0.0; n],
+            covariance: vec![0.0; n * n],
+            trust: vec![0.0; sensors],
+            attack: vec![0.0; m],
+            attack_std: vec![0.0; m],
+            suspected: vec![0; sensors],
+            innovation: vec![0.0; m],
+            innovation_std: vec![0.0; m],
+            diagnostics: vec![0.0; diagnostics],
+            status: 0,
+        }
+    }
+
+    /// Where a step writes.
+    pub fn output(&mut self) -> Output<'_> {
+        Output {
+            x: &mut self.x,
+            x_std: &mut self.x_std,
+            covariance: Some(&mut self.covariance),
+            trust: &mut self.trust,
+            attack: &mut self.attack,
+            attack_std: &mut self.attack_std,
+            suspected: &mut self.suspected,
+            innovation: &mut self.innovation,
+            innovation_std: &mut self.innovation_std,
+            diagnostics: &mut self.diagnostics,
+            status: &mut self.status,
+        }
+    }
+}
+
 /// One of several runs over a block of samples, in file units.
 #[derive(Debug)]
 pub struct PlannedRun<'a, S> {
@@ -102,6 +167,12 @@ pub trait Estimator: Send + Sync {
     /// `y` holds (steps, m) of every run in file units: only which entries are missing may be used.
     fn plan(&self, _states: &[&Self::State], _y: &[&[f64]], _steps: usize) -> Option<Self::Plan> {
         None
+    }
+
+    /// Whether runs with the same plan report the same but for x, innovations and diagnostics. If not, every run
+    /// takes its own planned steps and [`Estimator::run_planned`] is not called.
+    fn shares_results(&self) -> bool {
+        true
     }
 
     /// As [`Estimator::step`], bit for bit, with sample `k` of a plan.

@@ -4,8 +4,10 @@ from securestate._kernels import Estimate
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
+from securestate.estimators.joint_fusion import JointFusion, JointMoments
 from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.oracle import OracleFilter
+from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.registry import METHODS, Method
 from securestate.estimators.run import Run
 from securestate.estimators.sparse_fusion import SparseFusion
@@ -17,9 +19,12 @@ __all__ = [
     "Estimator",
     "Filter",
     "InnovationGate",
+    "JointFusion",
+    "JointMoments",
     "KalmanFilter",
     "Method",
     "OracleFilter",
+    "ProtectedKalman",
     "Run",
     "SparseFusion",
     "Status",

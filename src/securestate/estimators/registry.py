@@ -11,7 +11,9 @@ from typing import final
 from securestate.estimators.base import Estimator
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
+from securestate.estimators.joint_fusion import JointFusion
 from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.sparse_fusion import SparseFusion
 
 
@@ -41,6 +43,8 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "sparse": Method(SparseFusion, "finds lying sensors"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
+        "joint": Method(JointFusion, "estimates injections with the state, with protected sensors"),
+        "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
     }
 )

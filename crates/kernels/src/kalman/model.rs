@@ -126,6 +126,11 @@ impl Model {
         add_product(-1.0, &self.d_t, u, out);
     }
 
+    /// `out` −= D u.
+    pub fn subtract_feedthrough(&self, u: &[f64], out: &mut [f64]) {
+        add_product(-1.0, &self.d_t, u, out);
+    }
+
     /// `out` += C x + D u.
     pub fn observe(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
         add_product(1.0, self.c_t(k), x, out);
