@@ -78,7 +78,7 @@ def local_estimators(plant: Plant, pairing: Pairing | None) -> tuple[Local, ...]
     return tuple(_local(plant, sensor, pairs[sensor]) for sensor in sorted(pairs))
 
 
-def _named(plant: Plant, pairing: Pairing) -> dict[int, tuple[int, ...]]:
+def _named(plant: Plant, pairing: object) -> dict[int, tuple[int, ...]]:
     if not isinstance(pairing, Mapping) or not pairing:
         expected = "a mapping from sensor names to names of protected sensors"
         raise InputError("pairing", expected, repr(pairing))
@@ -170,8 +170,8 @@ def check_conditions(plant: Plant, locals_: Sequence[Local]) -> None:
 
 def _warn(name: str, mode: Mode) -> None:
     warnings.warn(
-        f"the protected sensors that sensor {name!r} is stacked with do not see {mode}: an injection along it "
-        "stays invisible and moves the estimate without bound; protect a sensor that sees this mode",
+        f"the protected sensors that sensor {name!r} is stacked with do not see {mode}: an injection along "
+        "it stays invisible and moves the estimate without bound; protect a sensor that sees this mode",
         SecurestateWarning,
         stacklevel=5,
     )

@@ -75,8 +75,8 @@ class JointFusion(Estimator):
     """Secure fusion of local estimators that know their sensor's injection (Chen, Weng, Ho, Yu).
 
     Every sensor that is not protected gets a local estimator of the state and of what is injected, from its
-    own readings and those of protected sensors; the local estimates are fused. In the paper's own example this
-    is no better than `ProtectedKalman`, which always runs beside it; `AdaptiveJointFilter` beats both.
+    own readings and those of protected sensors; the local estimates are fused. In the paper's example this is
+    no better than `ProtectedKalman`, which always runs beside it; `AdaptiveJointFilter` beats both.
 
     Args:
         plant: at least one sensor protected and one not. A and C may vary in time.
@@ -179,9 +179,7 @@ class JointFusion(Estimator):
             InputError, ShapeError: naming the argument, expected and received.
         """
         whole_number("steps", steps, 1, InputError)
-        if not isinstance(prior, Belief) or prior.P is None or prior.P.shape != (self.plant.n,) * 2:
-            n = self.plant.n
-            raise InputError("prior", f"a Belief with a covariance P ({n}, {n})", repr(prior))
+        P = _covariance(prior, self.plant.n)
         horizon = self.plant.horizon or (len(self._eta) if len(self._eta) > 1 else steps)
         if steps > horizon:
             raise ShapeError("steps", f"at most {horizon}, as many as A, C and eta cover", str(steps))
@@ -190,11 +188,17 @@ class JointFusion(Estimator):
             self.plant,
             [local.stack for local in self.locals],
             eta=np.ascontiguousarray(eta),
-            prior=np.ascontiguousarray(prior.P),
+            prior=P,
             heard=design.as_mask(self.plant, steps, missing),
             **self._choice,
         )
         return JointMoments(**arrays)
+
+
+def _covariance(prior: object, n: int) -> Float:
+    if not isinstance(prior, Belief) or prior.P is None or prior.P.shape != (n, n):
+        raise InputError("prior", f"a Belief with a covariance P ({n}, {n})", repr(prior))
+    return np.ascontiguousarray(prior.P)
 
 
 def one_of(name: str, value: object, choices: tuple[str, ...]) -> None:

@@ -24,7 +24,7 @@ pub enum Moments {
     /// Exact second moments.
     Exact(Exact),
     /// As printed.
-    Printed(Printed),
+    Printed(Box<Printed>),
 }
 
 /// What is designed once.
@@ -82,7 +82,7 @@ impl Design {
         let (layout, n) = (&self.layout, self.layout.n);
         let moments = match self.form {
             Form::Exact => Moments::Exact(Exact::new(layout, p)),
-            Form::Printed => Moments::Printed(Printed::new(layout, p, eta)),
+            Form::Printed => Moments::Printed(Box::new(Printed::new(layout, p, eta))),
         };
         Covariance {
             moments,

@@ -82,7 +82,10 @@ impl JointFusion {
         from: Option<&[f64]>,
     ) -> Result<Self> {
         let weak = design.layout.weak;
-        if eta.is_empty() || eta.len() % weak != 0 || eta.iter().any(|e| !(0.0..f64::MAX).contains(e)) {
+        if eta.is_empty()
+            || !eta.len().is_multiple_of(weak)
+            || eta.iter().any(|e| !(0.0..f64::MAX).contains(e))
+        {
             let expected = format!("{weak} finite numbers of at least 0, or as many per sample");
             return Err(Error::input("eta", expected, format!("{} numbers", eta.len())));
         }
