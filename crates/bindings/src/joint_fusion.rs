@@ -49,8 +49,9 @@ fn recursions(model: Model, stacks: &[Stack], form: &str, fusion: &str) -> Resul
     let layout = Layout::new(model.dims.states, &model.channel_sensor, stacks)?;
     let form = match form {
         "exact" => Form::Exact,
+        "square-root" => Form::SquareRoot,
         "printed" => Form::Printed,
-        other => return Err(Error::input("form", "exact or printed", other)),
+        other => return Err(Error::input("form", "exact, square-root or printed", other)),
     };
     let rule = match fusion {
         "optimal" => Rule::Optimal,
@@ -115,7 +116,7 @@ pub fn joint_moments<'py>(
     let channels: Vec<usize> = layout.locals.iter().flat_map(|local| local.channels.clone()).collect();
     let rows: Vec<bool> =
         heard.rows().into_iter().flat_map(|row| channels.iter().map(move |&c| row[c])).collect();
-    let trace = py.detach(|| design.trace(prior, &rows, eta));
+    let trace = py.detach(|| design.trace(prior, &rows, eta)).map_err(to_python)?;
     let arrays = PyDict::new(py);
     let mut locals = [("K", &trace.gain), ("Gamma", &trace.gamma), ("P_X", &trace.px)].to_vec();
     locals.extend([("U", &trace.u), ("V", &trace.v)]);

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
-from securestate._checks import whole_number
+from securestate._checks import whole_number, yes_or_no
 from securestate.errors import InputError, ShapeError
 from securestate.estimators import _joint_design as design
 from securestate.estimators._detectors import checked_rate, quantiles
@@ -86,6 +86,8 @@ class JointFusion(Estimator):
         pairing: which protected sensors each sensor that may lie is stacked with, by name; default all.
             Sensors that are not in it are not used.
         fusion: "optimal" (12), "average", or "covariance-intersection" (for comparison).
+        square_root: keep the moments of all locals as factors U D U' of one array. Slower (the cube of
+            r (n + 3) per sample), for plants whose variances span many decades. Form "exact" only.
         false_alarm_rate: probability per sample that an honest sensor is suspected, in (0, 1).
 
     Attributes:
@@ -132,6 +134,7 @@ class JointFusion(Estimator):
         form: Literal["exact", "printed"] = "exact",
         pairing: Pairing | None = None,
         fusion: Literal["optimal", "average", "covariance-intersection"] = "optimal",
+        square_root: bool = False,
         false_alarm_rate: float = 0.01,
     ) -> None:
         steady, reason = steady_or_reason(plant)
@@ -140,18 +143,19 @@ class JointFusion(Estimator):
         one_of("fusion", fusion, FUSIONS)
         self.locals = design.local_estimators(plant, pairing)
         self._eta = design.injection_variances(plant, self.locals, eta)
-        self._choice = {"form": form, "fusion": fusion}
+        arithmetic = _arithmetic(form, square_root)
+        self._choice = {"form": arithmetic, "fusion": fusion}
         design.check_conditions(plant, self.locals)
         alone_steady, alone_reason, alone = protected_alone(plant)
         start = alone_steady or steady
         varies = plant.time_varying or len(self._eta) > 1
         if start is not None and not varies:
-            design.check_stability(plant, self.locals, self._eta, form, start.P_prior)
+            design.check_stability(plant, self.locals, self._eta, arithmetic, start.P_prior)
         kernel, settles = _kernels.joint_fusion(
             plant,
             [local.stack for local in self.locals],
             eta=self._eta,
-            form=form,
+            form=arithmetic,
             fusion=fusion,
             protected=alone,
             quantiles=quantiles(plant.m, rate),
@@ -164,6 +168,7 @@ class JointFusion(Estimator):
             "form": form,
             "pairing": None if pairing is None else {name: list(others) for name, others in pairing.items()},
             "fusion": fusion,
+            "square_root": arithmetic == "square-root",
             "false_alarm_rate": rate,
         }
         super().__init__(plant, kernel, settings)
@@ -193,6 +198,15 @@ class JointFusion(Estimator):
             **self._choice,
         )
         return JointMoments(**arrays)
+
+
+def _arithmetic(form: str, square_root: object) -> str:
+    """The recursion that the kernel runs."""
+    if not yes_or_no("square_root", square_root, InputError):
+        return form
+    if form == "exact":
+        return "square-root"
+    raise InputError("square_root", 'form="exact"', f"form={form!r}")
 
 
 def _covariance(prior: object, n: int) -> Float:

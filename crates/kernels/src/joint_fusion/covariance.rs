@@ -1,5 +1,7 @@
 //! The part of a step that does not see data: gains and weights, from moments that move on.
 
+use crate::Result;
+use crate::joint_fusion::array::Array;
 use crate::joint_fusion::exact::Exact;
 use crate::joint_fusion::fusion::{Fusion, Rule};
 use crate::joint_fusion::gains::Gains;
@@ -14,6 +16,8 @@ use crate::matrix::Matrix;
 pub enum Form {
     /// Exact second moments, form of Joseph.
     Exact,
+    /// The same, kept as factors U D Uᵀ of all locals together.
+    SquareRoot,
     /// As printed in the paper.
     Printed,
 }
@@ -22,7 +26,9 @@ pub enum Form {
 #[derive(Debug, Clone)]
 pub enum Moments {
     /// Exact second moments.
-    Exact(Exact),
+    Exact(Box<Exact>),
+    /// Exact second moments as factors.
+    Array(Box<Array>),
     /// As printed.
     Printed(Box<Printed>),
 }
@@ -77,14 +83,17 @@ impl Design {
     }
 
     /// Before the first sample: covariance `p` (n, n) of x[0|−1], no injections so far.
-    #[must_use]
-    pub fn start(&self, p: &[f64], eta: &[f64]) -> Covariance {
+    ///
+    /// # Errors
+    /// If `p` is no covariance.
+    pub fn start(&self, p: &[f64], eta: &[f64]) -> Result<Covariance> {
         let (layout, n) = (&self.layout, self.layout.n);
         let moments = match self.form {
-            Form::Exact => Moments::Exact(Exact::new(layout, p)),
+            Form::Exact => Moments::Exact(Box::new(Exact::new(layout, p))),
+            Form::SquareRoot => Moments::Array(Box::new(Array::new(layout, &self.model, p)?)),
             Form::Printed => Moments::Printed(Box::new(Printed::new(layout, p, eta))),
         };
-        Covariance {
+        Ok(Covariance {
             moments,
             fused: Matrix::from_rows(n, n, p),
             gains: Gains::new(layout, self.model.dims.channels),
@@ -93,7 +102,7 @@ impl Design {
             cached: false,
             fusion: Fusion::new(self.rule, n, layout.count()),
             scratch: std::array::from_fn(|_| Matrix::zeros(n, n)),
-        }
+        })
     }
 
     /// Gains for sample k.
@@ -109,6 +118,13 @@ impl Design {
             Moments::Exact(exact) => {
                 exact.correct(layout, model, k, pattern, &mut p.gains);
                 layout.pairs().for_each(|(i, j)| p.fusion.put((i, j), &exact.work[layout.pair(i, j)]));
+            }
+            Moments::Array(array) => {
+                array.correct(layout, model, k, pattern, &mut p.gains);
+                for pair in layout.pairs() {
+                    array.block(layout.n, pair, &mut p.scratch[0]);
+                    p.fusion.put(pair, &p.scratch[0]);
+                }
             }
             Moments::Printed(printed) => {
                 printed.correct(layout, model, k, (pattern, &self.q), &mut p.gains);
@@ -142,6 +158,12 @@ impl Design {
                 exact.predict(&self.layout, &self.model, k, &self.q);
                 let repeats = exact.repeats(&self.layout);
                 exact.take_over();
+                repeats
+            }
+            Moments::Array(array) => {
+                array.predict(&self.layout, &self.model, k);
+                let repeats = array.repeats();
+                array.take_over();
                 repeats
             }
             Moments::Printed(printed) => printed.repeats(),
@@ -197,6 +219,10 @@ impl Covariance {
             Moments::Exact(exact) => {
                 exact.prior.iter().chain(&exact.theta).for_each(|matrix| visit(matrix.numbers()));
             }
+            Moments::Array(array) => {
+                visit(&array.prior.d);
+                visit(&array.prior.u);
+            }
             Moments::Printed(printed) => {
                 printed.own.iter().flat_map(|own| own.all()).for_each(|m| visit(m.numbers()));
                 printed.cross.iter().flat_map(|cross| cross.all()).for_each(|m| visit(m.numbers()));
@@ -208,11 +234,15 @@ impl Covariance {
     ///
     /// # Errors
     /// The first of `visit`.
-    pub fn each_mut<E>(&mut self, mut visit: impl FnMut(&mut [f64]) -> Result<(), E>) -> Result<(), E> {
+    pub fn each_mut(&mut self, mut visit: impl FnMut(&mut [f64]) -> Result<()>) -> Result<()> {
         visit(self.fused.numbers_mut())?;
         match &mut self.moments {
             Moments::Exact(exact) => {
                 (exact.prior.iter_mut().chain(&mut exact.theta)).try_for_each(|m| visit(m.numbers_mut()))
+            }
+            Moments::Array(array) => {
+                visit(&mut array.prior.d)?;
+                visit(&mut array.prior.u)
             }
             Moments::Printed(printed) => {
                 let own = printed.own.iter_mut().flat_map(|own| own.all_mut());

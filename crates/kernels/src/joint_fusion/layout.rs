@@ -60,6 +60,8 @@ pub struct Layout {
     pub weak: usize,
     /// Numbers in all states [x; θ; φ].
     pub states: usize,
+    /// The plant's channels that some local uses, in increasing order.
+    pub used: Vec<usize>,
 }
 
 impl Layout {
@@ -68,7 +70,7 @@ impl Layout {
     /// # Errors
     /// No local at all, a local without channels of its own, or a channel that does not exist.
     pub fn new(n: usize, owner: &[usize], stacks: &[(Vec<usize>, Vec<usize>)]) -> Result<Self> {
-        let mut layout = Self { n, locals: Vec::new(), rows: 0, weak: 0, states: 0 };
+        let mut layout = Self { n, locals: Vec::new(), rows: 0, weak: 0, states: 0, used: Vec::new() };
         for (own, others) in stacks {
             let channels = [own.as_slice(), others.as_slice()].concat();
             let known = channels.iter().all(|&channel| channel < owner.len());
@@ -88,6 +90,8 @@ impl Layout {
             layout.states += local.size(n);
             layout.locals.push(local);
         }
+        let in_use = |channel: &usize| layout.locals.iter().any(|l| l.channels.contains(channel));
+        layout.used = (0..owner.len()).filter(in_use).collect();
         if layout.locals.is_empty() {
             return Err(Error::input("pairing", "at least one sensor that may lie", "none"));
         }

@@ -1,9 +1,9 @@
 //! The part of a step that sees data: (6), (7) and (8).
 
-use crate::Output;
 use crate::joint_fusion::covariance::Design;
 use crate::joint_fusion::gains::Gains;
 use crate::linalg::{axpy, dot};
+use crate::{Output, Result};
 
 /// A surprise beyond this is held there, so that no outlier can drive a state beyond all numbers.
 const LARGEST: f64 = 1e100;
@@ -130,7 +130,7 @@ impl Mean {
     ///
     /// # Errors
     /// The first of `visit`.
-    pub fn each_mut<E>(&mut self, mut visit: impl FnMut(&mut [f64]) -> Result<(), E>) -> Result<(), E> {
+    pub fn each_mut(&mut self, mut visit: impl FnMut(&mut [f64]) -> Result<()>) -> Result<()> {
         visit(&mut self.locals)?;
         visit(&mut self.fused)
     }

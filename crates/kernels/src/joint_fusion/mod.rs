@@ -14,6 +14,7 @@
 //! # References
 //! Chen, Weng, Ho, Yu 2022.
 
+mod array;
 pub mod covariance;
 pub mod exact;
 pub mod fusion;
@@ -26,7 +27,7 @@ mod trace;
 
 use crate::codec::{Decoder, Encoder, Fingerprint};
 use crate::estimator::Buffers;
-use crate::joint_fusion::covariance::{Covariance, Design, Form};
+use crate::joint_fusion::covariance::{Covariance, Design};
 use crate::joint_fusion::gains::Gains;
 use crate::joint_fusion::layout::Pattern;
 use crate::joint_fusion::mean::Mean;
@@ -92,7 +93,7 @@ impl JointFusion {
         let mut estimator = Self { design, eta, beside, steady: None };
         if let Some(from) = from {
             Error::check_len("prior", estimator.design.q.len(), from.len())?;
-            estimator.steady = estimator.settle(from);
+            estimator.steady = estimator.settle(from)?;
         }
         Ok(estimator)
     }
@@ -138,23 +139,23 @@ impl JointFusion {
     }
 
     /// Moments that repeat themselves, if nothing varies and they do so soon.
-    fn settle(&self, from: &[f64]) -> Option<Covariance> {
+    fn settle(&self, from: &[f64]) -> Result<Option<Covariance>> {
         if self.horizon().is_some() {
-            return None;
+            return Ok(None);
         }
-        let mut p = self.design.start(from, &self.eta);
+        let mut p = self.design.start(from, &self.eta)?;
         let pattern = p.pattern.clone();
         for _ in 0..SEARCH {
             self.design.correct(&mut p, 0, &pattern);
             if p.cached {
-                return Some(p);
+                return Ok(Some(p));
             }
             self.design.predict(&mut p, 0);
             if p.gains.broken {
-                return None;
+                return Ok(None);
             }
         }
-        None
+        Ok(None)
     }
 
     /// Which rows of the locals arrived.
@@ -227,11 +228,7 @@ impl JointFusion {
 
     /// Diagnostics; returns how many channels of the locals arrived.
     fn report(&self, y: &[f64], alone: Option<&Buffers>, out: &mut Output<'_>) -> usize {
-        let in_use = |&channel: &usize| {
-            let mut locals = self.design.layout.locals.iter();
-            !y[channel].is_nan() && locals.any(|local| local.channels.contains(&channel))
-        };
-        let heard = (0..y.len()).filter(|channel| in_use(channel)).count();
+        let heard = self.design.layout.used.iter().filter(|&&channel| !y[channel].is_nan()).count();
         let trace = |std: &[f64]| std.iter().map(|s| s * s).sum::<f64>();
         let gap = |alone: &Buffers| {
             let each = out.x.iter().zip(&alone.x).zip(&alone.x_std);
@@ -298,7 +295,7 @@ impl Estimator for JointFusion {
             return Ok(self.state(mean, steady, beside));
         };
         crate::kalman::ud::Ud::new("prior.P", p, n)?;
-        Ok(self.state(mean, self.design.start(p, self.eta(0)), beside))
+        Ok(self.state(mean, self.design.start(p, self.eta(0))?, beside))
     }
 
     fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
@@ -380,7 +377,7 @@ impl Estimator for JointFusion {
         let n = self.design.layout.n;
         let k = usize::try_from(from.integer()?).unwrap_or(usize::MAX);
         let (settled, moved) = (from.integer()? != 0, from.integer()? != 0);
-        let mut p = self.design.start(&vec![0.0; n * n], self.eta(0));
+        let mut p = self.design.start(&vec![0.0; n * n], self.eta(0))?;
         p.each_mut(|numbers| from.floats(numbers))?;
         p.settled = settled;
         p.set_moved(moved);
@@ -398,7 +395,7 @@ impl Estimator for JointFusion {
         let layout = &self.design.layout;
         let own = Fingerprint::default()
             .bytes(&self.design.model.fingerprint().finish().to_le_bytes())
-            .sizes(&[usize::from(self.design.form == Form::Printed), self.design.rule as usize])
+            .sizes(&[self.design.form as usize, self.design.rule as usize])
             .floats(&self.eta);
         let stacked =
             layout.locals.iter().fold(own, |hash, local| hash.sizes(&local.channels).sizes(&[local.weak]));

@@ -1,7 +1,7 @@
 //! Gains and moments over a stretch of samples, for those who want to read them.
 
+use crate::Result;
 use crate::joint_fusion::covariance::{Covariance, Design, Moments};
-use crate::joint_fusion::exact::Exact;
 use crate::joint_fusion::layout::Pattern;
 use crate::matrix::Matrix;
 
@@ -30,8 +30,10 @@ pub struct Trace {
 
 impl Design {
     /// From covariance `p` of x[0|−1]; `heard` (steps, rows) says which rows arrive, `eta` (steps, Σ p_i).
-    #[must_use]
-    pub fn trace(&self, p: &[f64], heard: &[bool], eta: &[f64]) -> Trace {
+    ///
+    /// # Errors
+    /// If `p` is no covariance.
+    pub fn trace(&self, p: &[f64], heard: &[bool], eta: &[f64]) -> Result<Trace> {
         let (layout, count) = (&self.layout, self.layout.count());
         let per_local = || vec![Vec::new(); count];
         let mut trace = Trace {
@@ -42,7 +44,7 @@ impl Design {
             v: per_local(),
             ..Trace::default()
         };
-        let mut moments = self.start(p, &eta[..layout.weak]);
+        let mut moments = self.start(p, &eta[..layout.weak])?;
         let samples = heard.chunks_exact(layout.rows).zip(eta.chunks_exact(layout.weak));
         for (k, (heard, eta)) in samples.enumerate() {
             let pattern = Pattern { heard: heard.to_vec(), eta: eta.to_vec() };
@@ -50,7 +52,7 @@ impl Design {
             self.note(&moments, &mut trace);
             self.predict(&mut moments, k);
         }
-        trace
+        Ok(trace)
     }
 
     fn note(&self, p: &Covariance, trace: &mut Trace) {
@@ -60,7 +62,14 @@ impl Design {
             trace.gain[i].extend_from_slice(gain);
             trace.gamma[i].extend(gamma.iter().map(|value| -value));
             let [px, u, v] = match &p.moments {
-                Moments::Exact(exact) => self.papers(exact, &p.pattern, i),
+                Moments::Exact(exact) => {
+                    let m = &exact.work[self.layout.pair(i, i)];
+                    self.papers((m, exact.theta_after(i)), &p.pattern, i)
+                }
+                Moments::Array(array) => {
+                    let [m, theta] = array.papers(self.layout.n, i, local);
+                    self.papers((&m, &theta), &p.pattern, i)
+                }
                 Moments::Printed(printed) => {
                     let own = &printed.own[i];
                     [own.px.clone(), own.u.clone(), own.v.clone()]
@@ -77,10 +86,9 @@ impl Design {
     }
 
     /// P^X = E X̃ X̃ᵀ, U = E X̃ φ̂ᵀ and V = E φ̂ φ̂ᵀ, with X̃ = s + F θ(k).
-    fn papers(&self, exact: &Exact, pattern: &Pattern, i: usize) -> [Matrix; 3] {
+    fn papers(&self, (m, theta): (&Matrix, &Matrix), pattern: &Pattern, i: usize) -> [Matrix; 3] {
         let (local, n) = (&self.layout.locals[i], self.layout.n);
         let (size, p) = (n + local.weak, local.weak);
-        let (m, theta) = (&exact.work[self.layout.pair(i, i)], exact.theta_after(i));
         let [mut px, mut u, mut v] = [(size, size), (size, p), (p, p)].map(|(a, b)| Matrix::zeros(a, b));
         for a in 0..size {
             px.row_mut(a).copy_from_slice(&m.row(a)[..size]);

@@ -168,6 +168,11 @@ impl Test {
 
     /// d² over its quantile for the channels that arrived; None if none did, or nothing is known of the state.
     fn excess(&mut self, m: usize, range: Range<usize>, attack: &[f64]) -> Option<f64> {
+        if range.len() == 1 {
+            let (value, variance) = (attack[range.start], self.v[range.start * m + range.start]);
+            let square = value * value / variance;
+            return square.is_finite().then(|| square / self.quantiles[1]);
+        }
         let mut count = 0;
         for i in range.clone().filter(|&i| !attack[i].is_nan()) {
             self.white[count] = attack[i];
