@@ -238,7 +238,7 @@ impl Array {
         let [before, after] = &mut self.deviations;
         self.prior.variances(before);
         self.next.variances(after);
-        let tolerance = (8 + 2 * before.len()) as f64 * f64::EPSILON;
+        let tolerance = 8.0 * before.len() as f64 * f64::EPSILON;
         self.prior.is_close(&self.next, before, after, tolerance)
     }
 

@@ -21,6 +21,9 @@ use crate::kalman::model::Model;
 use crate::linalg::{cholesky, cholesky_solve};
 use crate::matrix::Matrix;
 
+/// Rounding of one step, in units of the sizes that enter it.
+const SETTLED: f64 = 16.0;
+
 /// M⁻_ij of all pairs i ≤ j, Θ_i of all locals, and room to move them on.
 #[derive(Debug, Clone)]
 pub struct Exact {
@@ -200,7 +203,7 @@ impl Exact {
         layout.pairs().all(|(i, j)| {
             let pair = layout.pair(i, j);
             let (rows, columns) = (&self.prior[layout.pair(i, i)], &self.prior[layout.pair(j, j)]);
-            let tolerance = (8 + rows.rows() + columns.rows()) as f64 * f64::EPSILON;
+            let tolerance = SETTLED * (rows.rows() + columns.rows()) as f64 * f64::EPSILON;
             (0..rows.rows()).all(|a| {
                 (0..columns.rows()).all(|b| {
                     let size = (rows[(a, a)] * columns[(b, b)]).sqrt();

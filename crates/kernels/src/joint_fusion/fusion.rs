@@ -13,14 +13,13 @@
 
 use crate::joint_fusion::gains::Gains;
 use crate::joint_fusion::intersection::Intersection;
-use crate::linalg::dot;
+use crate::joint_fusion::semidefinite::Semidefinite;
 use crate::matrix::Matrix;
 
 /// A difference between two local estimates whose variance is this small beside theirs is zero.
-const SAME: f64 = 1e-13;
-
-/// A pivot that is this far below zero is no rounding.
-const INDEFINITE: f64 = 1e-9;
+///
+/// With more of them the weights grow: at 1e-10 they reach some thousands, and P_0 keeps nine digits.
+const SAME: f64 = 1e-10;
 
 /// How local estimates are put together.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -41,8 +40,7 @@ pub struct Fusion {
     count: usize,
     /// Σ, (n r, n r).
     pub sigma: Matrix,
-    factor: Matrix,
-    skipped: Vec<bool>,
+    differences: Semidefinite,
     intersection: Intersection,
     scratch: Matrix,
 }
@@ -57,8 +55,7 @@ impl Fusion {
             n,
             count,
             sigma: Matrix::zeros(size, size),
-            factor: Matrix::zeros(size, size),
-            skipped: vec![false; size],
+            differences: Semidefinite::new(size),
             intersection: Intersection::new(n, count),
             scratch: Matrix::room(n * size),
         }
@@ -109,17 +106,17 @@ impl Fusion {
     /// G_i = −Cov(e_1, e_i − e_1) D⁺ for i > 1 and G_1 = I − Σ G_i, with D the covariance of all differences.
     fn regress(&mut self, weights: &mut Matrix) -> bool {
         let (n, size) = (self.n, self.n * (self.count - 1));
-        let sigma = &self.sigma;
-        self.factor.shape(size, size);
+        let (sigma, d) = (&self.sigma, &mut self.differences);
+        d.a.shape(size, size);
         for a in 0..size {
-            for b in 0..=a {
-                self.factor[(a, b)] = sigma[(n + a, n + b)] - sigma[(n + a, b % n)] - sigma[(a % n, n + b)]
+            for b in 0..size {
+                d.a[(a, b)] = sigma[(n + a, n + b)] - sigma[(n + a, b % n)] - sigma[(a % n, n + b)]
                     + sigma[(a % n, b % n)];
             }
+            let both = sigma[(n + a, n + a)].abs() + sigma[(a % n, a % n)].abs();
+            d.scale[a] = both.max(f64::MIN_POSITIVE).sqrt();
         }
-        let sound = semidefinite_cholesky(&mut self.factor, &mut self.skipped, |a| {
-            sigma[(n + a, n + a)].abs() + sigma[(a % n, a % n)].abs()
-        });
+        let sound = d.factor(SAME);
         let row = &mut self.scratch;
         weights.shape(n, n * self.count);
         for a in 0..n {
@@ -127,7 +124,7 @@ impl Fusion {
             for b in 0..size {
                 row[(0, b)] = sigma[(a, b % n)] - sigma[(a, n + b)];
             }
-            solve_skipping(&self.factor, &self.skipped, row.row_mut(0));
+            d.solve(row.row_mut(0));
             weights.row_mut(a)[n..].copy_from_slice(row.row(0));
             weights[(a, a)] = 1.0;
             for b in 0..size {
@@ -135,35 +132,5 @@ impl Fusion {
             }
         }
         sound
-    }
-}
-
-/// Lower Cholesky factor of a positive semidefinite matrix, in place. A pivot that is nothing beside `size` is left
-/// out; false if one is negative beyond rounding, or no number.
-pub fn semidefinite_cholesky(a: &mut Matrix, skipped: &mut [bool], size: impl Fn(usize) -> f64) -> bool {
-    let mut sound = true;
-    for i in 0..a.rows() {
-        for j in 0..i {
-            let known = dot(&a.row(i)[..j], &a.row(j)[..j]);
-            a[(i, j)] = if skipped[j] { 0.0 } else { (a[(i, j)] - known) / a[(j, j)] };
-        }
-        let pivot = a[(i, i)] - dot(&a.row(i)[..i], &a.row(i)[..i]);
-        skipped[i] = pivot.is_nan() || pivot <= SAME * size(i);
-        sound &= pivot >= -INDEFINITE * size(i);
-        a[(i, i)] = if skipped[i] { 0.0 } else { pivot.sqrt() };
-    }
-    sound
-}
-
-/// Solve L Lᵀ x = b in place where nothing was left out; 0 elsewhere.
-fn solve_skipping(l: &Matrix, skipped: &[bool], x: &mut [f64]) {
-    for i in 0..x.len() {
-        let known = dot(&l.row(i)[..i], &x[..i]);
-        x[i] = if skipped[i] { 0.0 } else { (x[i] - known) / l[(i, i)] };
-    }
-    for i in (0..x.len()).rev().filter(|&i| !skipped[i]) {
-        x[i] /= l[(i, i)];
-        let value = x[i];
-        (0..i).for_each(|j| x[j] -= value * l[(i, j)]);
     }
 }

@@ -23,6 +23,7 @@ mod intersection;
 pub mod layout;
 pub mod mean;
 pub mod printed;
+mod semidefinite;
 mod trace;
 
 use crate::codec::{Decoder, Encoder, Fingerprint};

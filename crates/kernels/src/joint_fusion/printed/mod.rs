@@ -10,13 +10,13 @@ pub mod cross;
 mod parts;
 
 use crate::joint_fusion::exact::{add_noise, carry_noise, observe};
-use crate::joint_fusion::fusion::semidefinite_cholesky;
 use crate::joint_fusion::gains::Gains;
 use crate::joint_fusion::layout::{Layout, Local, Pattern};
 use crate::joint_fusion::printed::cross::{Cross, Step};
 use crate::joint_fusion::printed::parts::{
     Moved, Work, augmented, corner, keep_columns, sandwich, scale_columns, shifted,
 };
+use crate::joint_fusion::semidefinite::Semidefinite;
 use crate::kalman::model::Model;
 use crate::linalg::{axpy, cholesky, cholesky_solve};
 use crate::matrix::Matrix;
@@ -48,7 +48,7 @@ pub struct Printed {
     before: (Vec<Own>, Vec<Cross>),
     steps: Vec<Step>,
     seen: Matrix,
-    skipped: Vec<bool>,
+    test: Semidefinite,
     work: Work,
     /// Whether a sample was before: then A moves the state in between.
     pub moved: bool,
@@ -94,7 +94,7 @@ impl Printed {
             cross,
             steps: locals.iter().map(|_| Step::room(widest * widest)).collect(),
             seen: Matrix::room(widest * widest),
-            skipped: vec![false; widest],
+            test: Semidefinite::new(widest),
             work: Work::room(widest * widest),
             moved: false,
         }
@@ -166,9 +166,11 @@ impl Printed {
                 w.xi[(n + a, c)] -= w.ax2[(c, a)];
             }
         }
-        w.one.copy_from(&w.xi);
-        let xi = &w.xi;
-        semidefinite_cholesky(&mut w.one, &mut self.skipped, |a| xi[(a, a)].abs())
+        self.test.a.copy_from(&w.xi);
+        for (a, scale) in self.test.scale[..n + p].iter_mut().enumerate() {
+            *scale = w.xi[(a, a)].abs().max(f64::MIN_POSITIVE).sqrt();
+        }
+        self.test.factor(0.0)
     }
 
     /// K of (37) and Γ of (36); false, and zero, if S is no covariance.
