@@ -9,7 +9,17 @@ from securestate.plant import Plant
 
 _Float = NDArray[np.float64]
 
-__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "detector", "kalman", "simulate", "sparse_fusion"]
+__all__ = [
+    "Estimate",
+    "Filter",
+    "Kernel",
+    "PenaltySolver",
+    "adaptive_joint",
+    "detector",
+    "kalman",
+    "simulate",
+    "sparse_fusion",
+]
 
 @final
 class Kernel:
@@ -70,6 +80,9 @@ class PenaltySolver:
 
 def sparse_fusion(design: dict[str, object]) -> Kernel: ...
 def kalman(plant: Plant, prior: _Float | None) -> Kernel: ...
+def adaptive_joint(
+    plant: Plant, prior: _Float | None, *, window: int, gate: float, quantiles: _Float
+) -> Kernel: ...
 def detector(
     plant: Plant,
     prior: _Float | None,
