@@ -12,6 +12,7 @@ from securestate.errors import (
     ShapeError,
 )
 from securestate.estimators import (
+    AdaptiveJointFilter,
     ChiSquareFilter,
     Estimate,
     Estimator,
@@ -30,6 +31,7 @@ from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
 
 __all__ = [
+    "AdaptiveJointFilter",
     "Belief",
     "ChiSquareFilter",
     "Comparison",

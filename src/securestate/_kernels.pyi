@@ -14,6 +14,7 @@ __all__ = [
     "Filter",
     "Kernel",
     "PenaltySolver",
+    "adaptive_joint",
     "detector",
     "joint_fusion",
     "joint_moments",
@@ -82,6 +83,9 @@ class PenaltySolver:
 
 def sparse_fusion(design: dict[str, object]) -> Kernel: ...
 def kalman(plant: Plant, prior: _Float | None) -> Kernel: ...
+def adaptive_joint(
+    plant: Plant, prior: _Float | None, *, window: int, gate: float, quantiles: _Float
+) -> Kernel: ...
 def detector(
     plant: Plant,
     prior: _Float | None,

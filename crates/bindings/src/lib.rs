@@ -2,6 +2,7 @@
 
 use pyo3::prelude::*;
 
+mod adaptive_joint;
 mod arrays;
 mod detector;
 mod errors;
@@ -17,6 +18,8 @@ mod sparse_fusion;
 /// Run-time kernels of securestate.
 #[pymodule]
 mod _kernels {
+    #[pymodule_export]
+    use super::adaptive_joint::adaptive_joint;
     #[pymodule_export]
     use super::detector::detector;
     #[pymodule_export]

@@ -1,6 +1,7 @@
 """Estimators: one file per algorithm, the protocol in `base`, all of them by name in `registry`."""
 
 from securestate._kernels import Estimate
+from securestate.estimators.adaptive_joint import AdaptiveJointFilter
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -14,6 +15,7 @@ from securestate.estimators.sparse_fusion import SparseFusion
 
 __all__ = [
     "METHODS",
+    "AdaptiveJointFilter",
     "ChiSquareFilter",
     "Estimate",
     "Estimator",

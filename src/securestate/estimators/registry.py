@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import final
 
+from securestate.estimators.adaptive_joint import AdaptiveJointFilter
 from securestate.estimators.base import Estimator
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -41,6 +42,7 @@ class Method:
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
+        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "joint": Method(JointFusion, "estimates injections with the state, with protected sensors"),

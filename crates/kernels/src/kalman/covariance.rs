@@ -4,6 +4,7 @@ use crate::kalman::gains::{Gains, Scratch};
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
 use crate::linalg::dot;
+use std::ops::Range;
 
 /// The covariance recursion of one plant.
 #[derive(Debug, Clone)]
@@ -126,6 +127,23 @@ impl Recursion {
 }
 
 impl Covariance {
+    /// First of three parts of [`Recursion::correct`], once the gains have listened: P[k|k−1] may be conditioned.
+    pub fn expect(&mut self, model: &Model, k: usize) {
+        self.cached = false;
+        self.work.copy_from(&self.prior);
+        self.gains.expect(model, k, &self.work, &mut self.scratch);
+    }
+
+    /// Second part, any number of times: take in some of the channels heard.
+    pub fn condition(&mut self, some: Range<usize>) {
+        self.gains.condition(some, &mut self.work, &mut self.scratch);
+    }
+
+    /// Last part: P[k|k] is complete.
+    pub fn conclude(&mut self, keep: bool) {
+        self.gains.conclude(&self.work, keep);
+    }
+
     /// Whether the new prior in `work` differs from the old one by no more than one step's rounding: going on
     /// would not bring it closer to the limit than the recursion's own rounding allows.
     fn repeats(&mut self) -> bool {
@@ -135,7 +153,7 @@ impl Covariance {
         self.prior.is_close(&self.work, &self.before, &self.after, tolerance)
     }
 
-    /// P[k|k], between [`Recursion::correct`] and [`Recursion::predict`], unless the gains were cached.
+    /// P[k|k], or as far as it has been conditioned, until [`Recursion::predict`], unless the gains were cached.
     #[must_use]
     pub fn posterior(&self) -> &Ud {
         &self.work

@@ -6,10 +6,11 @@
 use crate::kalman::heard::Heard;
 use crate::kalman::model::{Model, add_product};
 use crate::kalman::ud::Ud;
-use crate::kalman::whitening::LogProduct;
+use crate::kalman::whitening::{LogProduct, Noise};
 use crate::lanes::{self, LANES, Lanes, zip};
 use crate::linalg::{axpy, dot};
 use crate::{Dims, Output, Status};
+use std::ops::Range;
 
 /// Everything about a correction that the data do not change.
 #[derive(Debug, Clone)]
@@ -20,6 +21,8 @@ pub struct Gains {
     gain: Vec<f64>,
     /// 1 / s of each whitened channel, given those before it.
     precision: Vec<f64>,
+    /// Of the s so far.
+    product: LogProduct,
     /// log det(2π S) over the channels that arrived.
     log_det: f64,
     status: Status,
@@ -47,14 +50,21 @@ impl Scratch {
 }
 
 impl Gains {
-    /// Room for one sample.
+    /// Room for one sample with the noise of the model.
     #[must_use]
     pub fn new(model: &Model) -> Self {
+        Self::with_noise(model, &model.noise)
+    }
+
+    /// Room for one sample with noise in an order of its own.
+    #[must_use]
+    pub fn with_noise(model: &Model, noise: &Noise) -> Self {
         let (n, m) = (model.dims.states, model.dims.channels);
         Self {
-            heard: Heard::new(model),
+            heard: Heard::new(model, noise),
             gain: vec![0.0; m * n],
             precision: vec![0.0; m],
+            product: LogProduct::default(),
             log_det: 0.0,
             status: Status::NoMeasurement,
             x_std: vec![0.0; n],
@@ -80,7 +90,18 @@ impl Gains {
         self.heard.listen(model, &model.noise, k, y);
     }
 
-    /// The channels that these gains use, in increasing order.
+    /// As [`Gains::listen`] with other noise; see [`Heard::listen`].
+    pub fn listen_with(&mut self, model: &Model, noise: &Noise, k: usize, y: &[f64]) {
+        self.heard.listen(model, noise, k, y);
+    }
+
+    /// What these gains hear.
+    #[must_use]
+    pub fn heard(&self) -> &Heard {
+        &self.heard
+    }
+
+    /// The channels that these gains use, in the order of their noise.
     #[must_use]
     pub fn channels(&self) -> &[usize] {
         self.heard.channels()
@@ -95,16 +116,31 @@ impl Gains {
         scratch: &mut Scratch,
         keep_covariance: bool,
     ) {
-        let n = model.dims.states;
+        self.expect(model, k, p, scratch);
+        self.condition(0..self.channels().len(), p, scratch);
+        self.conclude(p, keep_covariance);
+    }
+
+    /// First part of [`Gains::correct_covariance`]: how far the channels may be from the prediction of P[k|k−1].
+    pub fn expect(&mut self, model: &Model, k: usize, p: &Ud, scratch: &mut Scratch) {
         innovation_deviations(model, k, p, &mut scratch.channel, &mut self.innovation_std);
-        let mut log_det = LogProduct::default();
-        let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact_mut(n));
-        for ((row, gain), precision) in rows.zip(&mut self.precision) {
-            let s = p.condition(row, &mut scratch.state, gain);
-            log_det.multiply(s);
-            *precision = 1.0 / s;
+        self.product = LogProduct::default();
+    }
+
+    /// Second part: take in some of the channels, counted among those heard, given all before them.
+    pub fn condition(&mut self, some: Range<usize>, p: &mut Ud, scratch: &mut Scratch) {
+        let n = scratch.state.len();
+        for i in some {
+            let row = &self.heard.rows()[i * n..(i + 1) * n];
+            let s = p.condition(row, &mut scratch.state, &mut self.gain[i * n..(i + 1) * n]);
+            self.product.multiply(s);
+            self.precision[i] = 1.0 / s;
         }
-        self.log_det = self.heard.log_det + log_det.log();
+    }
+
+    /// Last part: note P[k|k].
+    pub fn conclude(&mut self, p: &Ud, keep_covariance: bool) {
+        self.log_det = self.heard.log_det + self.product.log();
         p.variances(&mut self.x_std);
         self.x_std.iter_mut().for_each(|v| *v = v.sqrt());
         if keep_covariance {
@@ -146,8 +182,13 @@ impl Gains {
 
     /// Leaves x[k|k] − x[k|k−1] in `scratch`; returns the normalised innovation squared.
     pub fn shift(&self, innovation: &[f64], scratch: &mut Scratch) -> f64 {
+        self.shift_by(self.channels().len(), innovation, scratch)
+    }
+
+    /// The same by the first `count` channels only; leaves L⁻¹ of all innovations at the front of `scratch.channel`.
+    pub fn shift_by(&self, count: usize, innovation: &[f64], scratch: &mut Scratch) -> f64 {
         let (white, shift) = (self.heard.whiten(innovation, &mut scratch.channel), &mut scratch.state);
-        let n = shift.len();
+        let (n, white) = (shift.len(), &white[..count]);
         shift.fill(0.0);
         let mut nis = 0.0;
         let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact(n));

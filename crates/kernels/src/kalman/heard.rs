@@ -5,10 +5,12 @@ use crate::kalman::whitening::{Noise, Whitening};
 
 const LOG_2PI: f64 = 1.837_877_066_409_345_5;
 
-/// Channels in increasing order, and the rows of L⁻¹ C for them.
+/// Channels in the order of their noise, and the rows of L⁻¹ C for them.
 #[derive(Debug, Clone)]
 pub struct Heard {
     channels: Vec<usize>,
+    /// Where in that order they stand.
+    places: Vec<usize>,
     count: usize,
     whitening: Whitening,
     rows: Vec<f64>,
@@ -17,14 +19,15 @@ pub struct Heard {
 }
 
 impl Heard {
-    /// Room for all channels.
+    /// Room for all channels, whose noise is `noise`.
     #[must_use]
-    pub fn new(model: &Model) -> Self {
+    pub fn new(model: &Model, noise: &Noise) -> Self {
         let (n, m) = (model.dims.states, model.dims.channels);
         Self {
             channels: vec![0; m],
+            places: vec![0; m],
             count: 0,
-            whitening: Whitening::new(&model.noise),
+            whitening: Whitening::new(noise),
             rows: vec![0.0; m * n],
             log_det: 0.0,
         }
@@ -34,18 +37,21 @@ impl Heard {
     pub fn copy_from(&mut self, other: &Self) {
         self.count = other.count;
         self.channels.copy_from_slice(&other.channels);
+        self.places.copy_from_slice(&other.places);
         self.whitening.copy_from(&other.whitening);
         self.rows.copy_from_slice(&other.rows);
         self.log_det = other.log_det;
     }
 
-    /// Note which channels of y are not NaN. `noise` is that of the model, or has some of its correlations left out.
+    /// Note which channels of y are not NaN. `noise` is that of the model, maybe in another order, with some of its
+    /// correlations left out, or with larger variances.
     pub fn listen(&mut self, model: &Model, noise: &Noise, k: usize, y: &[f64]) {
         let n = model.dims.states;
         self.count = 0;
-        for (channel, value) in y.iter().enumerate() {
-            if !value.is_nan() {
+        for (place, &channel) in noise.order.iter().enumerate() {
+            if !y[channel].is_nan() {
                 self.channels[self.count] = channel;
+                self.places[self.count] = place;
                 self.count += 1;
             }
         }
@@ -54,12 +60,12 @@ impl Heard {
             row.copy_from_slice(&c[channel * n..(channel + 1) * n]);
         }
         // R is positive definite, hence so is every principal part of it.
-        self.whitening.factorise(noise, arrived);
+        self.whitening.factorise(noise, &self.places[..self.count]);
         self.whitening.apply_to_rows(&mut self.rows[..self.count * n], n);
         self.log_det = self.count as f64 * LOG_2PI + 2.0 * self.whitening.log_det(self.count);
     }
 
-    /// The channels, in increasing order.
+    /// The channels, in the order of their noise.
     #[must_use]
     pub fn channels(&self) -> &[usize] {
         &self.channels[..self.count]

@@ -8,6 +8,7 @@
 //! # References
 //! Bierman 1977, *Factorization Methods for Discrete Sequential Estimation*.
 
+pub mod alone;
 pub mod covariance;
 pub mod gains;
 pub mod heard;

@@ -6,12 +6,14 @@ use crate::lanes::{self, Lane};
 use crate::linalg::{axpy, dot};
 use crate::{Error, Result};
 
-/// The noise covariance R of all channels.
+/// The noise covariance R of all channels, in the order in which they are taken in.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Noise {
-    /// R, (m, m).
+    /// R in that order, (m, m).
     pub r: Vec<f64>,
-    /// First channel that channel i is correlated with, (m,).
+    /// The channel at each place, (m,).
+    pub order: Vec<usize>,
+    /// First place that place i is correlated with, (m,).
     first: Vec<usize>,
 }
 
@@ -23,7 +25,7 @@ impl Noise {
     pub fn new(r: Vec<f64>, m: usize) -> Result<Self> {
         Error::check_len("R", m * m, r.len())?;
         let first = (0..m).map(|i| (0..i).find(|&j| r[i * m + j] != 0.0).unwrap_or(i)).collect();
-        let noise = Self { r, first };
+        let noise = Self { r, order: (0..m).collect(), first };
         let mut whitening = Whitening::new(&noise);
         let all: Vec<usize> = (0..m).collect();
         if whitening.factorise(&noise, &all) {
@@ -45,6 +47,35 @@ impl Noise {
             }
         }
         Self::new(r, m)
+    }
+
+    /// The same, taken in with the channels that `leads` names first, otherwise in increasing order.
+    ///
+    /// # Errors
+    /// None for a noise that exists.
+    pub fn with_first(&self, leads: impl Fn(usize) -> bool) -> Result<Self> {
+        let m = self.channels();
+        let (mut order, others): (Vec<_>, Vec<_>) = (0..m).partition(|&channel| leads(channel));
+        order.extend(others);
+        let r = (0..m * m).map(|k| self.r[order[k / m] * m + order[k % m]]).collect();
+        Ok(Self { order, ..Self::new(r, m)? })
+    }
+
+    /// Unit noise with room for a correlation among the channels of each owner.
+    #[must_use]
+    pub fn blocks(owner: &[usize]) -> Self {
+        let m = owner.len();
+        let r = (0..m * m).map(|k| f64::from(u8::from(k / m == k % m))).collect();
+        let first = (0..m).map(|i| (0..i).find(|&j| owner[j] == owner[i]).unwrap_or(i)).collect();
+        Self { r, order: (0..m).collect(), first }
+    }
+
+    /// Become `honest` with `added` (m,), by channel, on the diagonal.
+    pub fn inflate(&mut self, honest: &Self, added: &[f64]) {
+        let m = self.channels();
+        for (place, &channel) in honest.order.iter().enumerate() {
+            self.r[place * m + place] = honest.r[place * m + place] + added[channel];
+        }
     }
 
     /// Number of channels.
@@ -80,12 +111,12 @@ impl Whitening {
         &self.entries[self.start[i]..self.start[i + 1]]
     }
 
-    /// L for these channels, in increasing order; false if their covariance is not positive definite.
-    pub fn factorise(&mut self, noise: &Noise, channels: &[usize]) -> bool {
+    /// L for the channels at these places, in increasing order; false if their covariance is not positive definite.
+    pub fn factorise(&mut self, noise: &Noise, places: &[usize]) -> bool {
         let m = noise.channels();
-        for (i, &channel) in channels.iter().enumerate() {
-            let earlier = channels[..i].iter().rev();
-            let width = earlier.take_while(|&&c| c >= noise.first[channel]).count();
+        for (i, &place) in places.iter().enumerate() {
+            let earlier = places[..i].iter().rev();
+            let width = earlier.take_while(|&&p| p >= noise.first[place]).count();
             let begin = self.start[i];
             self.start[i + 1] = begin + width + 1;
             let (done, rest) = self.entries.split_at_mut(begin);
@@ -96,9 +127,9 @@ impl Whitening {
                 let shared = column.min(above.len() - 1);
                 let known =
                     dot(&row[column - shared..column], &above[above.len() - 1 - shared..above.len() - 1]);
-                row[column] = (noise.r[channel * m + channels[j]] - known) / above[above.len() - 1];
+                row[column] = (noise.r[place * m + places[j]] - known) / above[above.len() - 1];
             }
-            let variance = noise.r[channel * m + channel];
+            let variance = noise.r[place * m + place];
             let pivot = variance - dot(&row[..width], &row[..width]);
             if pivot.is_nan() || pivot <= m as f64 * f64::EPSILON * variance {
                 return false;
@@ -141,6 +172,43 @@ impl Whitening {
         }
     }
 
+    /// v ← L v for the part of L from row and column `from` on, `v` beginning there: undoes [`Whitening::apply`] but
+    /// for what the rows before tell.
+    pub fn restore(&self, from: usize, v: &mut [f64]) {
+        for i in (0..v.len()).rev() {
+            let (coupling, scale) = split(self.row_from(from, from + i));
+            v[i] = scale * v[i] + dot(coupling, &v[i - coupling.len()..i]);
+        }
+    }
+
+    /// The same for the rows of C (rows, n).
+    pub fn restore_rows(&self, from: usize, c: &mut [f64], n: usize) {
+        for i in (0..c.len() / n).rev() {
+            let (coupling, scale) = split(self.row_from(from, from + i));
+            let (before, rest) = c.split_at_mut(i * n);
+            let row = &mut rest[..n];
+            row.iter_mut().for_each(|value| *value *= scale);
+            for (l, other) in coupling.iter().zip(before[(i - coupling.len()) * n..].chunks_exact(n)) {
+                axpy(*l, other, row);
+            }
+        }
+    }
+
+    /// Covariance of the noise of rows i ≥ j, given that of all rows before `from`.
+    #[must_use]
+    pub fn covariance_given(&self, from: usize, i: usize, j: usize) -> f64 {
+        let (a, b) = (self.row_from(from, i), self.row_from(from, j));
+        let reach = a.len().saturating_sub(i - j);
+        let shared = reach.min(b.len());
+        dot(&a[reach - shared..reach], &b[b.len() - shared..])
+    }
+
+    /// Row i of L without what lies before column `from`.
+    fn row_from(&self, from: usize, i: usize) -> &[f64] {
+        let row = self.row(i);
+        &row[row.len() - row.len().min(i + 1 - from)..]
+    }
+
     /// log det L of the first `rows` rows.
     #[must_use]
     pub fn log_det(&self, rows: usize) -> f64 {
@@ -157,7 +225,7 @@ fn split(row: &[f64]) -> (&[f64], f64) {
 }
 
 /// The logarithm of a product of positive numbers, with one logarithm for many factors.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct LogProduct {
     product: f64,
     log: f64,
