@@ -112,6 +112,8 @@ def joint_fusion(
     stacks: list[tuple[list[int], list[int]]],
     *,
     eta: _Float,
+    adaptive: tuple[int, float] | None,
+    detector: tuple[_Float | None, str, _Float, list[Any]] | None,
     form: str,
     fusion: str,
     protected: tuple[Plant, _Float | None, list[int]] | None,

@@ -12,7 +12,7 @@ use crate::kernel::Kernel;
 use crate::plant;
 
 /// T, A, B, C, D, K and S of a filter that hears one sensor.
-type Local<'py> = (Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>);
+pub type Local<'py> = (Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>, Array<'py>);
 
 /// Kernel of a detector. `plant` and `prior` are those of `kalman`; `rule` is "gate", "drop" or "hold" (per sensor,
 /// with one filter each in `local`), "predict" or "drop-worst" (central); `quantiles` (m + 1,) bound the squared
@@ -26,15 +26,25 @@ pub fn detector(
     quantiles: Array<'_>,
     local: Vec<Local<'_>>,
 ) -> PyResult<Kernel> {
-    let (model, units) = (plant::model(plant)?, plant::units(plant)?);
+    let estimator = build(plant, &(prior, rule.to_owned(), quantiles, local))?;
+    Ok(Kernel { inner: Design::boxed(estimator, plant::units(plant)?).map_err(to_python)? })
+}
+
+/// Prior, rule, quantiles and local filters of a detector.
+pub type Arguments<'py> = (Option<Array<'py>>, String, Array<'py>, Vec<Local<'py>>);
+
+/// The detector itself.
+pub fn build(
+    plant: &Bound<'_, PyAny>,
+    (prior, rule, quantiles, local): &Arguments<'_>,
+) -> PyResult<Detector> {
+    let model = plant::model(plant)?;
     let prior = prior.as_ref().map(|p| arrays::slice("prior", p)).transpose()?;
-    let quantiles = arrays::owned("quantiles", &quantiles)?;
+    let quantiles = arrays::owned("quantiles", quantiles)?;
     let filters = local.iter().map(local_filter).collect::<PyResult<Vec<_>>>()?;
-    let design = || -> Result<_> {
-        let filter = Kalman::new(model, prior)?;
-        Design::boxed(Detector::new(filter, named(rule, filters)?, quantiles)?, units)
-    };
-    Ok(Kernel { inner: design().map_err(to_python)? })
+    let design =
+        || -> Result<_> { Detector::new(Kalman::new(model, prior)?, named(rule, filters)?, quantiles) };
+    design().map_err(to_python)
 }
 
 fn named(rule: &str, filters: Vec<LocalFilter>) -> Result<Rule> {

@@ -4,6 +4,7 @@ use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use pyo3::types::{PyDict, PyList};
 use securestate_kernels::joint_fusion::JointFusion;
+use securestate_kernels::joint_fusion::choice::Choice;
 use securestate_kernels::joint_fusion::covariance::{Design as Recursions, Form};
 use securestate_kernels::joint_fusion::fusion::Rule;
 use securestate_kernels::joint_fusion::layout::Layout;
@@ -13,6 +14,7 @@ use securestate_kernels::protected::Protected;
 use securestate_kernels::{Design, Error, Result};
 
 use crate::arrays::{self, Array};
+use crate::detector;
 use crate::errors::to_python;
 use crate::kernel::Kernel;
 use crate::plant;
@@ -63,15 +65,18 @@ fn recursions(model: Model, stacks: &[Stack], form: &str, fusion: &str) -> Resul
 }
 
 /// Kernel of joint fusion, and whether it has a steady state. `stacks` are the channels of every local estimator,
-/// `eta` (Σ p,) or (T, Σ p) in normalised units, `protected` the filter beside it, `prior` (n, n) where the search for
-/// a steady state begins.
+/// `eta` (Σ p,) or (T, Σ p) in normalised units, `adaptive` the window and the gate if η comes from the innovations,
+/// `detector` the arguments of a detector if it says who is protected, `protected` the filter beside it, `prior`
+/// (n, n) where the search for a steady state begins.
 #[pyfunction]
-#[pyo3(signature = (plant, stacks, *, eta, form, fusion, protected, quantiles, prior))]
+#[pyo3(signature = (plant, stacks, *, eta, adaptive, detector, form, fusion, protected, quantiles, prior))]
 #[allow(clippy::too_many_arguments)]
 pub fn joint_fusion(
     plant: &Bound<'_, PyAny>,
     stacks: Vec<Stack>,
     eta: Array<'_>,
+    adaptive: Option<(usize, f64)>,
+    detector: Option<detector::Arguments<'_>>,
     form: &str,
     fusion: &str,
     protected: Option<Alone<'_>>,
@@ -82,8 +87,16 @@ pub fn joint_fusion(
     let beside = protected.map(|given| alone(model.clone(), &given, &quantiles)).transpose()?;
     let prior = prior.as_ref().map(|p| arrays::slice("prior", p)).transpose()?;
     let design = recursions(model, &stacks, form, fusion).map_err(to_python)?;
-    let estimator =
-        JointFusion::new(design, arrays::owned("eta", &eta)?, beside, prior).map_err(to_python)?;
+    let choice = match (adaptive, detector) {
+        (Some((window, gate)), _) => Choice::Adaptive { window, gate },
+        (None, Some(given)) => Choice::Auto {
+            detector: Box::new(detector::build(plant, &given)?),
+            marked: plant.getattr("protected")?.extract()?,
+        },
+        (None, None) => Choice::Fixed,
+    };
+    let eta = arrays::owned("eta", &eta)?;
+    let estimator = JointFusion::new(design, (eta, choice), beside, prior).map_err(to_python)?;
     let steady = estimator.is_steady();
     Ok((Kernel { inner: Design::boxed(estimator, units).map_err(to_python)? }, steady))
 }

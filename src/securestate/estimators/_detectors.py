@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from numbers import Real
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,9 @@ from securestate.estimators.kalman import prior_covariance
 from securestate.plant import Plant
 
 Float = NDArray[np.float64]
+
+#: Prior, rule, quantiles and local filters of a detector, as kernels take them.
+Arguments = tuple[Float | None, str, Float, list[Any]]
 
 Rule = Literal["gate", "drop", "hold", "predict", "drop-worst"]
 
@@ -47,11 +50,22 @@ def kernel(
     filters: Sequence[LocalFilter] = (),
 ) -> _kernels.Kernel:
     """The Kalman filter of `plant` with a rule; `filters` are those of the sensors, if the rule asks them."""
+    prior, name, bounds, local = arguments(plant, steady, rule, false_alarm_rate, filters)
+    return _kernels.detector(plant, prior, rule=name, quantiles=bounds, local=local)
+
+
+def arguments(
+    plant: Plant,
+    steady: SteadyState | None,
+    rule: Rule,
+    false_alarm_rate: float,
+    filters: Sequence[LocalFilter] = (),
+) -> Arguments:
+    """Prior, rule, quantiles and local filters of a detector, as kernels take them."""
     local = [(f.T, f.A, f.B, f.C, f.D, f.gain, f.innovation_cov) for f in filters]
-    return _kernels.detector(
-        plant,
+    return (
         prior_covariance(steady),
-        rule=rule,
-        quantiles=quantiles(plant.m, false_alarm_rate),
-        local=[tuple(map(np.ascontiguousarray, matrices)) for matrices in local],  # type: ignore[misc]
+        rule,
+        quantiles(plant.m, false_alarm_rate),
+        [tuple(map(np.ascontiguousarray, matrices)) for matrices in local],
     )

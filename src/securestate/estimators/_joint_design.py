@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
-from securestate._checks import real_array
+from securestate._checks import real_array, whole_number
 from securestate._steady_state import EDGE
 from securestate.errors import DesignError, InputError, SecurestateWarning, ShapeError
 from securestate.plant import Plant
@@ -33,6 +33,8 @@ Pairing = Mapping[str, Sequence[str]]
 
 #: Samples after which the gains count as those of the steady state when their closed loop is judged.
 SETTLED = 400
+#: Variance of an injection over that of the noise that stands for any size.
+LARGE = 1e4
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,21 @@ class Local:
     def stack(self) -> tuple[list[int], list[int]]:
         """As kernels take it."""
         return list(self.weak_channels), list(self.protected_channels)
+
+
+def everybody(plant: Plant) -> tuple[Local, ...]:
+    """One local per sensor that may lie, stacked with all other sensors, for a protected set that changes.
+
+    Raises:
+        DesignError: every sensor is protected, or there is only one.
+    """
+    weak = np.flatnonzero(~plant.protected).tolist()
+    if not weak:
+        raise DesignError("every sensor is protected, so nobody can lie", "use KalmanFilter")
+    if plant.n_sensors == 1:
+        raise DesignError("one sensor has nobody to be stacked with", "use KalmanFilter")
+    others = {sensor: [i for i in range(plant.n_sensors) if i != sensor] for sensor in weak}
+    return tuple(_local(plant, sensor, tuple(others[sensor])) for sensor in weak)
 
 
 def local_estimators(plant: Plant, pairing: Pairing | None) -> tuple[Local, ...]:
@@ -130,6 +147,23 @@ def injection_variances(plant: Plant, locals_: Sequence[Local], eta: Any) -> Flo
     widths = [len(local.weak_channels) for local in locals_]
     scale = plant.scale[[channel for local in locals_ for channel in local.weak_channels]]
     return np.ascontiguousarray(np.repeat(np.atleast_2d(values), widths, axis=-1) / scale**2)
+
+
+def large_injections(plant: Plant, locals_: Sequence[Local]) -> Float:
+    """Variances that no noise reaches, (1, p): the closed loop of an adaptive eta is judged by them."""
+    channels = [channel for local in locals_ for channel in local.weak_channels]
+    return np.ascontiguousarray(LARGE * np.diag(plant.R)[np.newaxis, channels])
+
+
+def adaptation(window: object, gate: object) -> tuple[int, float]:
+    """Window and gate of an adaptive eta.
+
+    Raises:
+        InputError: not a whole number >= 1, or not a number >= 0.
+    """
+    if isinstance(gate, bool) or not isinstance(gate, Real) or not float(gate) >= 0:
+        raise InputError("gate", "a number >= 0", repr(gate))
+    return whole_number("window", window, 1, InputError), float(gate)
 
 
 def _by_name(names: Sequence[str], eta: Mapping[str, Any]) -> Float:

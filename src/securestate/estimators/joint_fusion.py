@@ -29,9 +29,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
 from securestate._checks import whole_number, yes_or_no
+from securestate._local_filters import local_filters
+from securestate._steady_state import SteadyState
 from securestate.errors import InputError, ShapeError
 from securestate.estimators import _joint_design as design
-from securestate.estimators._detectors import checked_rate, quantiles
+from securestate.estimators._detectors import Arguments, arguments, checked_rate, quantiles
 from securestate.estimators._joint_design import Local, Pairing
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import steady_or_reason
@@ -81,14 +83,21 @@ class JointFusion(Estimator):
     Args:
         plant: at least one sensor protected and one not. A and C may vary in time.
         eta: compensation factor, the variance assumed of an injection, (sensor unit)^2: a number, a mapping
-            by sensor name, one per sensor that may lie (r,), or (T, r) if it varies.
+            by sensor name, one per sensor that may lie (r,), or (T, r) if it varies. "adaptive" takes it from
+            the innovations of every local, by `window` and `gate` as `AdaptiveJointFilter` does.
         form: "exact" or "printed"; see the module.
         pairing: which protected sensors each sensor that may lie is stacked with, by name; default all.
             Sensors that are not in it are not used.
+        protected: "marked", those that the plant marks; or "auto" (Remark 2), those that `detector` trusts at
+            this sample, and the marked ones. Every sensor that is not marked then has a local, stacked with
+            all trusted others; a trusted sensor has eta = 0. If nobody is trusted nothing is used.
+        detector: for protected="auto": "gate", as `InnovationGate`, or "chi-square", as `ChiSquareFilter`.
         fusion: "optimal" (12), "average", or "covariance-intersection" (for comparison).
         square_root: keep the moments of all locals as factors U D U' of one array. Slower (the cube of
             r (n + 3) per sample), for plants whose variances span many decades. Form "exact" only.
-        false_alarm_rate: probability per sample that an honest sensor is suspected, in (0, 1).
+        window, gate: for eta="adaptive"; samples averaged, and the squared surprise that counts at once.
+        false_alarm_rate: probability per sample that an honest sensor is suspected, in (0, 1); for
+            protected="auto" that of the detector.
 
     Attributes:
         locals: who is stacked with whom, a tuple of `Local`.
@@ -106,14 +115,18 @@ class JointFusion(Estimator):
     Notes:
         `Run.attack` is thetahat_i of (6), `Run.attack_std` the deviation of its error under the assumed eta.
         `Run.trust` and `Run.suspected` come from the filter beside: they hold whatever is injected elsewhere.
+        With protected="auto" they are the detector's, and say who counts as protected at every sample.
         `Run.P` is the covariance P_0 under the assumed eta; `Run.innovation` that of A xhat_0 + B u.
         `Run.diagnostics`: "channels" in use; "trace", tr P_0; "protected_trace", the same of the filter
-        beside; "protected_gap", the largest |xhat_0 - xhat_protected| in deviations of the filter beside.
+        beside; "protected_gap", the largest |xhat_0 - xhat_protected| in deviations of the filter beside;
+        "protected", how many sensors counted as protected.
         Cost: gains that have settled are reused, and a step is O(r n (n + m)). While a channel is missing, or
         eta or the plant varies, the recursion runs: O(r^2 n^3 + (r n)^3) for r sensors that may lie. A filter
         holds r^2 (n + 2)^2 / 2 numbers.
+        With eta="adaptive" or protected="auto" the recursion always runs, and P is exact only for gains that
+        do not depend on the data, which these do (docs/joint-fusion.md has measurements).
         BROKEN_DOWN: a moment is no covariance any more (form "printed" under dropouts or a changing eta); the
-        estimate is that of the filter beside. NO_MEASUREMENT: no channel in use arrived.
+        estimate is that of the filter beside. NO_MEASUREMENT: no channel in use arrived, or nobody is trusted.
 
     Examples:
         >>> from securestate import JointFusion, Plant, Sensor
@@ -130,51 +143,79 @@ class JointFusion(Estimator):
         self,
         plant: Plant,
         *,
-        eta: float | Mapping[str, float] | ArrayLike = 1.0,
+        eta: float | Mapping[str, float] | ArrayLike | Literal["adaptive"] = 1.0,
         form: Literal["exact", "printed"] = "exact",
         pairing: Pairing | None = None,
+        protected: Literal["marked", "auto"] = "marked",
+        detector: Literal["gate", "chi-square"] = "gate",
         fusion: Literal["optimal", "average", "covariance-intersection"] = "optimal",
         square_root: bool = False,
+        window: int = 20,
+        gate: float = 9.0,
         false_alarm_rate: float = 0.01,
     ) -> None:
-        steady, reason = steady_or_reason(plant)
+        self._steady, self._why = steady_or_reason(plant)
         rate = checked_rate(false_alarm_rate)
-        one_of("form", form, FORMS)
-        one_of("fusion", fusion, FUSIONS)
-        self.locals = design.local_estimators(plant, pairing)
-        self._eta = design.injection_variances(plant, self.locals, eta)
-        arithmetic = _arithmetic(form, square_root)
-        self._choice = {"form": arithmetic, "fusion": fusion}
+        adapts = isinstance(eta, str)
+        _check_settings(eta, form, protected, detector, fusion, pairing)
+        self._arithmetic, self._fusion = _arithmetic(form, square_root), fusion
+        auto = protected == "auto"
+        self.locals = design.everybody(plant) if auto else design.local_estimators(plant, pairing)
+        self._eta = design.injection_variances(plant, self.locals, 0.0 if adapts else eta)
+        self._varies = plant.time_varying or len(self._eta) > 1
         design.check_conditions(plant, self.locals)
-        alone_steady, alone_reason, alone = protected_alone(plant)
-        start = alone_steady or steady
-        varies = plant.time_varying or len(self._eta) > 1
-        if start is not None and not varies:
-            design.check_stability(plant, self.locals, self._eta, arithmetic, start.P_prior)
-        kernel, settles = _kernels.joint_fusion(
+        kernel, self.beside, self.no_steady_state = self._kernel(
             plant,
-            [local.stack for local in self.locals],
-            eta=self._eta,
-            form=arithmetic,
-            fusion=fusion,
-            protected=alone,
-            quantiles=quantiles(plant.m, rate),
-            prior=None if start is None or varies else np.ascontiguousarray(start.P_prior),
+            (design.adaptation(window, gate) if adapts else None),
+            (_detector(plant, self._steady, detector, rate) if auto else None),
+            rate,
         )
-        self.no_steady_state = _reason(self._eta, reason or alone_reason, settles=settles)
-        self.beside = ProtectedKalman(plant, false_alarm_rate=rate)
         settings = {
-            "eta": _plain(eta),
+            "eta": eta if adapts else _plain(eta),
             "form": form,
             "pairing": None if pairing is None else {name: list(others) for name, others in pairing.items()},
+            "protected": protected,
+            "detector": detector,
             "fusion": fusion,
-            "square_root": arithmetic == "square-root",
+            "square_root": self._arithmetic == "square-root",
+            "window": window,
+            "gate": gate,
             "false_alarm_rate": rate,
         }
         super().__init__(plant, kernel, settings)
 
+    def _kernel(
+        self,
+        plant: Plant,
+        adaptive: tuple[int, float] | None,
+        detector: Arguments | None,
+        rate: float,
+    ) -> tuple[_kernels.Kernel, ProtectedKalman | None, str]:
+        """The kernel, the filter beside it, and why there is no steady state."""
+        beside = ProtectedKalman(plant, false_alarm_rate=rate) if plant.protected.any() else None
+        alone, why = (protected_alone(plant)[2], beside.no_steady_state) if beside else (None, "")
+        start = (beside.steady if beside else None) or self._steady
+        if start is not None and not self._varies:
+            worst = self._eta if adaptive is None else design.large_injections(plant, self.locals)
+            design.check_stability(plant, self.locals, worst, self._arithmetic, start.P_prior)
+        kernel, settles = _kernels.joint_fusion(
+            plant,
+            [local.stack for local in self.locals],
+            eta=self._eta,
+            adaptive=adaptive,
+            detector=detector,
+            form=self._arithmetic,
+            fusion=self._fusion,
+            protected=alone,
+            quantiles=quantiles(plant.m, rate),
+            prior=None if start is None or self._varies else np.ascontiguousarray(start.P_prior),
+        )
+        return kernel, beside, _reason(self._eta, self._why or why, settles=settles)
+
     def moments(self, steps: int, prior: Belief, *, missing: ArrayLike | None = None) -> JointMoments:
         """The gains and moments that decide a run, without data.
+
+        Not for eta="adaptive" or protected="auto", whose gains depend on the data.
 
         Args:
             steps: samples, at least 1.
@@ -184,6 +225,8 @@ class JointFusion(Estimator):
             InputError, ShapeError: naming the argument, expected and received.
         """
         whole_number("steps", steps, 1, InputError)
+        if self.settings["eta"] == "adaptive" or self.settings["protected"] == "auto":
+            raise InputError("moments", "an eta and a protected set that are given", repr(self))
         P = _covariance(prior, self.plant.n)
         horizon = self.plant.horizon or (len(self._eta) if len(self._eta) > 1 else steps)
         if steps > horizon:
@@ -195,9 +238,35 @@ class JointFusion(Estimator):
             eta=np.ascontiguousarray(eta),
             prior=P,
             heard=design.as_mask(self.plant, steps, missing),
-            **self._choice,
+            form=self._arithmetic,
+            fusion=self._fusion,
         )
         return JointMoments(**arrays)
+
+
+def _check_settings(
+    eta: object, form: str, protected: str, detector: str, fusion: str, pairing: object
+) -> None:
+    one_of("form", form, FORMS)
+    one_of("fusion", fusion, FUSIONS)
+    one_of("protected", protected, ("marked", "auto"))
+    one_of("detector", detector, ("gate", "chi-square"))
+    if isinstance(eta, str):
+        one_of("eta", eta, ("adaptive",))
+    if form == "printed" and (isinstance(eta, str) or protected == "auto"):
+        raise InputError("form", '"exact" where eta or the protected sensors come from the data', repr(form))
+    if protected == "auto" and pairing is not None:
+        raise InputError(
+            "pairing", 'None for protected="auto", which stacks with whoever is trusted', repr(pairing)
+        )
+    if protected == "auto" and isinstance(eta, str):
+        raise InputError("eta", 'variances for protected="auto"', repr(eta))
+
+
+def _detector(plant: Plant, steady: SteadyState | None, detector: str, rate: float) -> Arguments:
+    if detector == "gate":
+        return arguments(plant, steady, "gate", rate)
+    return arguments(plant, steady, "drop", rate, local_filters(plant))
 
 
 def _arithmetic(form: str, square_root: object) -> str:

@@ -12,7 +12,7 @@
 //! Compared in docs/adaptive-joint.md with the joint fusion of Chen, Weng, Ho, Yu 2022.
 
 mod weak;
-mod window;
+pub mod window;
 
 use crate::adaptive_joint::weak::Weak;
 use crate::adaptive_joint::window::{LIMIT, Window};

@@ -198,6 +198,20 @@ impl Array {
         }
     }
 
+    /// Covariance of x⁻ of one local, (n, n).
+    pub fn local_prior(&self, n: usize, i: usize, out: &mut Matrix) {
+        let (first, total) = (self.locals[i].first, self.prior.d.len());
+        out.set_zero();
+        for column in first..total {
+            let (d, u) = (self.prior.d[column], self.prior.column(column));
+            let entry =
+                |a: usize| if first + a == column { 1.0 } else { u.get(first + a).copied().unwrap_or(0.0) };
+            for a in 0..n {
+                (0..n).for_each(|b| out[(a, b)] += d * entry(a) * entry(b));
+            }
+        }
+    }
+
     /// E s_i s_iᵀ and E θ_i(k) s_iᵀ.
     #[must_use]
     pub fn papers(&self, n: usize, i: usize, local: &Local) -> [Matrix; 2] {

@@ -182,6 +182,15 @@ impl Design {
 }
 
 impl Covariance {
+    /// Covariance of x⁻ of one local, (n, n); zero for the printed form, whose moments are not of that kind.
+    pub fn local_prior(&self, n: usize, i: usize, out: &mut Matrix) {
+        match &self.moments {
+            Moments::Exact(exact) => exact.local_prior(n, i, out),
+            Moments::Array(array) => array.local_prior(n, i, out),
+            Moments::Printed(_) => out.set_zero(),
+        }
+    }
+
     /// Σ after the latest correction, (n r, n r).
     #[must_use]
     pub fn sigma(&self) -> &Matrix {

@@ -192,6 +192,13 @@ impl Exact {
         &self.theta_after[i]
     }
 
+    /// Covariance of x⁻ of one local, (n, n).
+    pub fn local_prior(&self, n: usize, i: usize, out: &mut Matrix) {
+        let count = self.theta.len();
+        let own = &self.prior[i * count - i * (i + 1) / 2 + i];
+        (0..n).for_each(|a| out.row_mut(a).copy_from_slice(&own.row(a)[..n]));
+    }
+
     /// Make the moments in `work` those before the next sample.
     pub fn take_over(&mut self) {
         std::mem::swap(&mut self.prior, &mut self.work);

@@ -39,6 +39,12 @@ impl Mean {
         }
     }
 
+    /// [x⁻; θ⁻; φ̂] of all locals.
+    #[must_use]
+    pub fn states(&self) -> &[f64] {
+        &self.locals
+    }
+
     /// x⁻ of the fused estimate.
     #[must_use]
     pub fn predicted(&self) -> &[f64] {

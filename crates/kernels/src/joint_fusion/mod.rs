@@ -15,6 +15,7 @@
 //! Chen, Weng, Ho, Yu 2022.
 
 mod array;
+pub mod choice;
 pub mod covariance;
 pub mod exact;
 pub mod fusion;
@@ -28,7 +29,8 @@ mod trace;
 
 use crate::codec::{Decoder, Encoder, Fingerprint};
 use crate::estimator::Buffers;
-use crate::joint_fusion::covariance::{Covariance, Design};
+use crate::joint_fusion::choice::{Choice, Memory};
+use crate::joint_fusion::covariance::{Covariance, Design, Form};
 use crate::joint_fusion::gains::Gains;
 use crate::joint_fusion::layout::Pattern;
 use crate::joint_fusion::mean::Mean;
@@ -48,6 +50,9 @@ pub struct JointFusion {
     design: Design,
     /// η of all injections, (Σ p_i,) or (T, Σ p_i).
     eta: Vec<f64>,
+    choice: Choice,
+    /// Whether a sensor is one that others are stacked with, (N,).
+    stacked: Vec<bool>,
     beside: Option<Protected>,
     /// Moments before the first measurement in steady state, if there are any.
     steady: Option<Covariance>,
@@ -60,6 +65,7 @@ pub struct State {
     p: Covariance,
     pattern: Pattern,
     mean: Mean,
+    memory: Memory,
     beside: Option<protected::State>,
     alone: Buffers,
 }
@@ -79,7 +85,7 @@ impl JointFusion {
     /// Sizes that do not fit.
     pub fn new(
         design: Design,
-        eta: Vec<f64>,
+        (eta, choice): (Vec<f64>, Choice),
         beside: Option<Protected>,
         from: Option<&[f64]>,
     ) -> Result<Self> {
@@ -91,7 +97,19 @@ impl JointFusion {
             let expected = format!("{weak} finite numbers of at least 0, or as many per sample");
             return Err(Error::input("eta", expected, format!("{} numbers", eta.len())));
         }
-        let mut estimator = Self { design, eta, beside, steady: None };
+        if design.form == Form::Printed && !matches!(choice, Choice::Fixed) {
+            return Err(Error::input(
+                "form",
+                "exact moments where eta or the protected sensors change",
+                "printed",
+            ));
+        }
+        let mut stacked = vec![false; design.model.dims.sensors];
+        for local in &design.layout.locals {
+            let others = local.channels[local.weak..].iter();
+            others.for_each(|&channel| stacked[design.model.channel_sensor[channel]] = true);
+        }
+        let mut estimator = Self { design, eta, choice, stacked, beside, steady: None };
         if let Some(from) = from {
             Error::check_len("prior", estimator.design.q.len(), from.len())?;
             estimator.steady = estimator.settle(from)?;
@@ -144,7 +162,11 @@ impl JointFusion {
         if self.horizon().is_some() {
             return Ok(None);
         }
-        let mut p = self.design.start(from, &self.eta)?;
+        let eta = match self.choice {
+            Choice::Fixed => self.eta.clone(),
+            _ => vec![0.0; self.design.layout.weak],
+        };
+        let mut p = self.design.start(from, &eta)?;
         let pattern = p.pattern.clone();
         for _ in 0..SEARCH {
             self.design.correct(&mut p, 0, &pattern);
@@ -159,7 +181,7 @@ impl JointFusion {
         Ok(None)
     }
 
-    /// Which rows of the locals arrived.
+    /// Which rows of the locals arrived, and η as given.
     fn listen(&self, pattern: &mut Pattern, k: usize, y: &[f64]) {
         pattern.eta.copy_from_slice(self.eta(k));
         for local in &self.design.layout.locals {
@@ -169,12 +191,13 @@ impl JointFusion {
         }
     }
 
-    fn state(&self, mean: &[f64], p: Covariance, beside: Option<protected::State>) -> State {
+    fn state(&self, mean: &[f64], p: Covariance, memory: Memory, beside: Option<protected::State>) -> State {
         State {
             k: 0,
             pattern: p.pattern.clone(),
             p,
             mean: Mean::new(&self.design, mean),
+            memory,
             beside,
             alone: Buffers::new(self.dims(), 3),
         }
@@ -185,7 +208,7 @@ impl JointFusion {
         &self,
         gains: &Gains,
         (k, mean): (usize, &mut Mean),
-        (beside, alone): (&mut Option<protected::State>, &mut Buffers),
+        (beside, alone, memory): (&mut Option<protected::State>, &mut Buffers, &Memory),
         (y, u): (&[f64], &[f64]),
         out: &mut Output<'_>,
     ) -> Result<()> {
@@ -195,12 +218,19 @@ impl JointFusion {
             filter.step(state, y, u, &mut alone.output())?;
         }
         mean.correct(&self.design, gains, k, (y, u), out);
-        self.judge(y, known.then_some(&*alone), out);
+        let counted = match memory {
+            Memory::Auto(told) => self.repeat(&told.1, out),
+            _ => self.judge(y, known.then_some(&*alone), out),
+        };
+        out.diagnostics[4] = counted as f64;
         let broken = gains.broken || out.x.iter().any(|value| !value.is_finite());
         if broken {
             fall_back(known.then_some(&*alone), mean.predicted(), out);
         }
-        let heard = self.report(y, known.then_some(&*alone), out);
+        let mut heard = self.report(y, known.then_some(&*alone), out);
+        if counted == 0 && matches!(memory, Memory::Auto(_)) {
+            heard = 0;
+        }
         *out.status = match (broken, heard) {
             (true, _) => Status::BrokenDown,
             (_, 0) => Status::NoMeasurement,
@@ -210,8 +240,41 @@ impl JointFusion {
         Ok(())
     }
 
-    /// Who is trusted: what the protected sensors say of the others.
-    fn judge(&self, y: &[f64], alone: Option<&Buffers>, out: &mut Output<'_>) {
+    /// η and who counts as protected, where that is chosen from the data.
+    fn choose(
+        &self,
+        memory: &mut Memory,
+        (k, p, mean): (usize, &Covariance, &Mean),
+        (y, u): (&[f64], &[f64]),
+        pattern: &mut Pattern,
+    ) -> Result<()> {
+        match (&self.choice, memory) {
+            (Choice::Adaptive { gate, .. }, Memory::Adaptive(adaptive)) => {
+                adaptive.choose(&self.design, *gate, k, (p, mean.states()), (y, u), pattern);
+            }
+            (Choice::Auto { detector, marked }, Memory::Auto(told)) => {
+                choice::trust(&self.design, (detector, marked), told, (y, u), pattern)?;
+            }
+            _ => (),
+        }
+        Ok(())
+    }
+
+    /// Who is trusted: what the detector said. Nothing is injected by those. Returns how many they are.
+    fn repeat(&self, told: &Buffers, out: &mut Output<'_>) -> usize {
+        out.trust.copy_from_slice(&told.trust);
+        out.suspected.copy_from_slice(&told.suspected);
+        for (channel, &sensor) in self.design.model.channel_sensor.iter().enumerate() {
+            if told.trust[sensor] > 0.5 && !told.innovation[channel].is_nan() {
+                out.attack[channel] = 0.0;
+                out.attack_std[channel] = f64::NAN;
+            }
+        }
+        told.trust.iter().filter(|&&trust| trust > 0.5).count()
+    }
+
+    /// Who is trusted: what the protected sensors say of the others. Returns how many of them sent something.
+    fn judge(&self, y: &[f64], alone: Option<&Buffers>, out: &mut Output<'_>) -> usize {
         out.trust.fill(f64::NAN);
         out.suspected.fill(0);
         if let Some(alone) = alone {
@@ -225,6 +288,7 @@ impl JointFusion {
                 out.attack_std[channel] = 0.0;
             }
         }
+        out.trust.iter().zip(&self.stacked).filter(|(trust, stacked)| **stacked && !trust.is_nan()).count()
     }
 
     /// Diagnostics; returns how many channels of the locals arrived.
@@ -241,7 +305,7 @@ impl JointFusion {
             alone.map_or(f64::NAN, |alone| trace(&alone.x_std)),
             alone.map_or(f64::NAN, gap),
         ];
-        out.diagnostics.copy_from_slice(&numbers);
+        out.diagnostics[..4].copy_from_slice(&numbers);
         heard
     }
 }
@@ -281,36 +345,41 @@ impl Estimator for JointFusion {
     }
 
     fn diagnostics(&self) -> &'static [&'static str] {
-        &["channels", "trace", "protected_trace", "protected_gap"]
+        &["channels", "trace", "protected_trace", "protected_gap", "protected"]
     }
 
     fn start(&self, mean: &[f64], covariance: Option<&[f64]>) -> Result<State> {
         let n = self.design.layout.n;
         Error::check_len("prior.x", n, mean.len())?;
         let beside = (self.beside.as_ref()).map(|filter| filter.start(mean, covariance)).transpose()?;
+        let memory = self.choice.start(&self.design, mean, covariance)?;
         let Some(p) = covariance else {
             let steady = self.steady.clone().ok_or_else(|| {
                 let expected = "a belief with a covariance P, because this estimator has no steady state";
                 Error::input("prior", expected, "none")
             })?;
-            return Ok(self.state(mean, steady, beside));
+            return Ok(self.state(mean, steady, memory, beside));
         };
         crate::kalman::ud::Ud::new("prior.P", p, n)?;
-        Ok(self.state(mean, self.design.start(p, self.eta(0))?, beside))
+        Ok(self.state(mean, self.design.start(p, self.eta(0))?, memory, beside))
     }
 
     fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
         self.check_horizon(state.k)?;
-        let State { k, p, pattern, mean, beside, alone } = state;
+        let State { k, p, pattern, mean, memory, beside, alone } = state;
         self.listen(pattern, *k, y);
+        self.choose(memory, (*k, p, mean), (y, u), pattern)?;
         self.design.correct(p, *k, pattern);
-        self.advance_mean(&p.gains, (*k, mean), (beside, alone), (y, u), out)?;
+        self.advance_mean(&p.gains, (*k, mean), (beside, alone, memory), (y, u), out)?;
         self.design.predict(p, *k);
         *k += 1;
         Ok(())
     }
 
     fn plan(&self, states: &[&State], y: &[&[f64]], steps: usize) -> Option<Plan> {
+        if !matches!(self.choice, Choice::Fixed) {
+            return None;
+        }
         let (lead, others) = states.split_first()?;
         let (rows, rest) = y.split_first()?;
         let alike = |other: &&State| other.k == lead.k && other.p.same(&lead.p);
@@ -350,8 +419,8 @@ impl Estimator for JointFusion {
         u: &[f64],
         out: &mut Output<'_>,
     ) -> Result<()> {
-        let State { k, mean, beside, alone, .. } = state;
-        self.advance_mean(&plan.gains[plan.index[i]], (*k, mean), (beside, alone), (y, u), out)?;
+        let State { k, mean, beside, alone, memory, .. } = state;
+        self.advance_mean(&plan.gains[plan.index[i]], (*k, mean), (beside, alone, memory), (y, u), out)?;
         *k += 1;
         Ok(())
     }
@@ -369,6 +438,7 @@ impl Estimator for JointFusion {
         state.p.pattern.heard.iter().for_each(|&heard| to.integer(u64::from(heard)));
         to.floats(&state.p.pattern.eta);
         state.mean.each(|numbers| to.floats(numbers));
+        self.choice.save(&state.memory, to);
         if let (Some(filter), Some(beside)) = (&self.beside, &state.beside) {
             filter.save(beside, to);
         }
@@ -388,8 +458,9 @@ impl Estimator for JointFusion {
         from.floats(&mut p.pattern.eta)?;
         let mut mean = Mean::new(&self.design, &vec![0.0; n]);
         mean.each_mut(|numbers| from.floats(numbers))?;
+        let memory = self.choice.load(&self.design, from)?;
         let beside = self.beside.as_ref().map(|filter| filter.load(from)).transpose()?;
-        Ok(State { k, mean, ..self.state(&vec![0.0; n], p, beside) })
+        Ok(State { k, mean, ..self.state(&vec![0.0; n], p, memory, beside) })
     }
 
     fn fingerprint(&self) -> u64 {
@@ -398,6 +469,7 @@ impl Estimator for JointFusion {
             .bytes(&self.design.model.fingerprint().finish().to_le_bytes())
             .sizes(&[self.design.form as usize, self.design.rule as usize])
             .floats(&self.eta);
+        let own = self.choice.fingerprint(own);
         let stacked =
             layout.locals.iter().fold(own, |hash, local| hash.sizes(&local.channels).sizes(&[local.weak]));
         let beside = self.beside.as_ref().map_or(0, Estimator::fingerprint);
