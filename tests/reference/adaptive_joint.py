@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Textbook:
-    """Per sample: x (T, n), P (T, n, n), attack, its std, innovation, its std (T, m), distance (T, N), and more (T,)."""
+    """Per sample: x (T, n), P (T, n, n), attack and innovation with their std (T, m), excess (T, N); rest (T,)."""
 
     x: Array
     P: Array

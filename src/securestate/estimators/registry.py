@@ -40,9 +40,9 @@ class Method:
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
-        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
     }
 )
