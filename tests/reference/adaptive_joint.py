@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Textbook:
-    """Per sample: x (T, n), P (T, n, n), attack and innovation with their std (T, m), excess (T, N); rest (T,)."""
+    """Per sample: x (T, n), P (T, n, n), channels (T, m), excess over the quantile (T, N), numbers (T,)."""
 
     x: Array
     P: Array

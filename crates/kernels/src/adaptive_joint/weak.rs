@@ -95,10 +95,10 @@ impl Weak {
         let channels = &heard.channels()[self.from..];
         let mut fill = |between: bool| {
             for (i, &a) in channels.iter().enumerate() {
-                for (j, &b) in channels[..=i].iter().enumerate().filter(|(_, b)| owner[**b] == owner[a]) {
-                    let known = between || i == j;
-                    let covariance =
-                        heard.whitening().covariance_given(self.from, self.from + i, self.from + j);
+                let own = channels[..=i].iter().rev().take_while(|&&b| owner[b] == owner[a]);
+                for (back, &b) in own.enumerate() {
+                    let (row, known) = (self.from + i, between || back == 0);
+                    let covariance = heard.whitening().covariance_given(self.from, row, row - back);
                     self.noise.r[a * m + b] = if known { covariance } else { 0.0 };
                 }
             }
