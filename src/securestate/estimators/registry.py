@@ -44,7 +44,6 @@ class Method:
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
-        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "joint": Method(
@@ -52,5 +51,6 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         ),
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
     }
 )
