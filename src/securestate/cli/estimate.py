@@ -13,10 +13,27 @@ from securestate.estimators.registry import METHODS
 
 
 class Form(StrEnum):
-    """Which form of the sparse fusion."""
+    """Which form of sparse or of joint fusion."""
 
     ROBUST = "robust"
     PAPER = "paper"
+    EXACT = "exact"
+    PRINTED = "printed"
+
+
+class Protected(StrEnum):
+    """Who counts as protected in joint fusion."""
+
+    MARKED = "marked"
+    AUTO = "auto"
+
+
+class Fusion(StrEnum):
+    """How joint fusion weighs local estimates."""
+
+    OPTIMAL = "optimal"
+    AVERAGE = "average"
+    COVARIANCE_INTERSECTION = "covariance-intersection"
 
 
 class Scope(StrEnum):
@@ -41,6 +58,13 @@ def _known(name: str) -> str:
     return name
 
 
+def _number_or_word(text: str) -> float | str:
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
 def estimate(
     plant: Annotated[Path, typer.Option(help="Plant file, TOML.")],
     data: Annotated[Path, typer.Option(help="Measurements: .csv, .tsv, .parquet or .nc.")],
@@ -60,7 +84,10 @@ def estimate(
     gamma: Annotated[
         float | None, typer.Option(help="sparse: weight of the penalty, instead of the probability.")
     ] = None,
-    form: Annotated[Form | None, typer.Option(help="sparse: form of the method (default: robust).")] = None,
+    form: Annotated[
+        Form | None,
+        typer.Option(help="sparse: robust (default) or paper; joint: exact (default) or printed."),
+    ] = None,
     refit: Annotated[
         bool | None,
         typer.Option(
@@ -70,7 +97,7 @@ def estimate(
     false_alarm_rate: Annotated[
         float | None,
         typer.Option(
-            help="gate, chi-square, adaptive-joint: how often a sample of an honest sensor raises an alarm."
+            help="all but sparse and kalman: how often a sample of an honest sensor raises an alarm."
         ),
     ] = None,
     scope: Annotated[
@@ -81,11 +108,30 @@ def estimate(
         typer.Option(help="chi-square: drop (default) or hold; central: predict (default) or drop-worst."),
     ] = None,
     window: Annotated[
-        int | None, typer.Option(help="adaptive-joint: samples over which lies are averaged (default: 20).")
+        int | None,
+        typer.Option(help="adaptive-joint, joint: samples over which lies are averaged (default: 20)."),
     ] = None,
     gate: Annotated[
         float | None,
-        typer.Option(help="adaptive-joint: nu²/S above which a sample counts at once (default: 9)."),
+        typer.Option(help="adaptive-joint, joint: nu²/S above which a sample counts at once (default: 9)."),
+    ] = None,
+    eta: Annotated[
+        str | None,
+        typer.Option(
+            metavar="VARIANCE|adaptive",
+            help="joint: variance assumed of an injection, (sensor unit)² (default: 1), or adaptive.",
+        ),
+    ] = None,
+    protected: Annotated[
+        Protected | None,
+        typer.Option(help="joint: sensors marked in the plant file (default), or those a gate trusts."),
+    ] = None,
+    fusion: Annotated[
+        Fusion | None, typer.Option(help="joint: how local estimates are weighed (default: optimal).")
+    ] = None,
+    square_root: Annotated[
+        bool | None,
+        typer.Option("--square-root", help="joint: keep covariances as factors.", show_default=False),
     ] = None,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
@@ -123,6 +169,10 @@ def estimate(
         "on_alarm": None if on_alarm is None else on_alarm.value,
         "window": window,
         "gate": gate,
+        "eta": None if eta is None else _number_or_word(eta),
+        "protected": None if protected is None else protected.value,
+        "fusion": None if fusion is None else fusion.value,
+        "square_root": square_root or None,
     }
     return run_order(
         Order(

@@ -53,7 +53,7 @@ def run_order(order: Order) -> Exit:
         hold_inputs=order.hold_inputs,
     )
     estimator = design(plant, order.method, order.choices)
-    other = estimator.beside
+    other = estimator.beside if estimator.beside and not estimator.beside.no_steady_state else None
     with console.progress(len(data.y) * (1 if other is None else 2), quiet=order.quiet) as advance:
         run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
         beside = None if other is None else run_in_blocks(other, data, covariance=False, advance=advance)

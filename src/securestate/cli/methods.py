@@ -33,5 +33,5 @@ def refuse_foreign(name: str, choices: Mapping[str, object]) -> None:
     for setting in choices:
         if setting not in METHODS[name].settings:
             owners = [other for other, method in METHODS.items() if setting in method.settings]
-            expected = " or ".join(f"--method {owner}" for owner in owners)
+            expected = f"--method {' or '.join(filter(None, [', '.join(owners[:-1]), owners[-1]]))}"
             raise InputError(f"--{setting}".replace("_", "-"), expected, f"--method {name}")

@@ -20,6 +20,7 @@ from securestate.errors import DesignError, InputError, SecurestateWarning
 from securestate.estimators import _detectors
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
+from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.plant import Plant
 from securestate.resilience import undetectable_modes
 
@@ -91,6 +92,7 @@ class AdaptiveJointFilter(Estimator):
     """
 
     steady: SteadyState | None
+    beside: ProtectedKalman
 
     def __init__(
         self, plant: Plant, *, window: int = 20, gate: float = 9.0, false_alarm_rate: float = 0.01
@@ -110,6 +112,7 @@ class AdaptiveJointFilter(Estimator):
             quantiles=_detectors.quantiles(plant.m, false_alarm_rate),
         )
         _warn_of_hidden_modes(plant)
+        self.beside = ProtectedKalman(plant, false_alarm_rate=false_alarm_rate)
         super().__init__(plant, kernel, settings)
 
 

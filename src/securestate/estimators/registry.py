@@ -45,12 +45,14 @@ METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
-        "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
+        "adaptive-joint": Method(
+            AdaptiveJointFilter, "judges sensors by those that are protected", "protected"
+        ),
         "joint": Method(
-            JointFusion, "estimates injections with the state, with protected sensors", "protected"
+            JointFusion, "estimates injections with the state, by protected sensors", "protected"
         ),
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
+        "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
-        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
     }
 )

@@ -107,8 +107,8 @@ def section(both: Beside | None) -> str:
         )
     ]
     legend = (
-        '<p class="legend"><span><span class="key accent"></span>'
-        f'{escape(both.estimator)}</span><span><span class="key beside"></span>{escape(both.beside)}</span></p>'
+        f'<p class="legend"><span><span class="key accent"></span>{escape(both.estimator)}</span>'
+        f'<span><span class="key beside"></span>{escape(both.beside)}</span></p>'
     )
     hint = '<p class="hint">Differences are in standard deviations of the estimate beside.</p>'
     return f"{legend}<p>{escape(both.sentence)}</p>{table(HEAD, rows)}{hint}"
