@@ -231,7 +231,10 @@ def check_stability(plant: Plant, locals_: Sequence[Local], eta: Float, form: st
 
 
 def closed_loop_radius(plant: Plant, local: Local, eta: Float, form: str, prior: Float) -> float:
-    """Spectral radius of s(k-1) -> s(k), s = [x - xhat; -thetahat; phihat], with gains that have settled."""
+    """Spectral radius of s(k-1) -> s(k), s = [x - xhat; -thetahat; phihat], with gains that have settled.
+
+    Where eta is 0 both estimates of the injection stay 0, so they are left out.
+    """
     moments = _kernels.joint_moments(
         plant,
         [local.stack],
@@ -251,7 +254,8 @@ def closed_loop_radius(plant: Plant, local: Local, eta: Float, form: str, prior:
     T = np.block([[plant.A, np.zeros((n, 2 * p))], [np.zeros((p, n)), np.eye(p), -np.eye(p)]])
     closed = np.vstack([T - K[last] @ C @ T, Gamma[last] @ C @ T])
     closed[n + p :, n + p :] += np.eye(p)
-    return float(np.abs(np.linalg.eigvals(closed)).max())
+    moves = np.concatenate([np.ones(n, dtype=np.bool_), np.tile(eta[0] > 0, 2)])
+    return float(np.abs(np.linalg.eigvals(closed[np.ix_(moves, moves)])).max())
 
 
 def as_mask(plant: Plant, steps: int, missing: ArrayLike | None) -> NDArray[np.bool_]:
