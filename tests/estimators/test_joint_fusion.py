@@ -152,5 +152,7 @@ def test_one_sensor_that_cannot_inject_is_the_kalman_filter() -> None:
 
 def test_the_prior_is_the_estimate_while_nothing_arrives() -> None:
     plant = paper_plant()
-    run = JointFusion(plant, pairing=PAPER_PAIRS).run(np.full((1, 5), np.nan), prior=Belief(np.ones(4), np.eye(4)))
+    run = JointFusion(plant, pairing=PAPER_PAIRS).run(
+        np.full((1, 5), np.nan), prior=Belief(np.ones(4), np.eye(4))
+    )
     np.testing.assert_array_equal(run.x[0], np.ones(4))

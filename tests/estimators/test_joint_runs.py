@@ -27,7 +27,18 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "average": {"fusion": "average"},
     "covariance-intersection": {"fusion": "covariance-intersection"},
 }
-QUANTITIES = ("x", "x_std", "P", "trust", "suspected", "attack", "attack_std", "innovation", "innovation_std", "status")
+QUANTITIES = (
+    "x",
+    "x_std",
+    "P",
+    "trust",
+    "suspected",
+    "attack",
+    "attack_std",
+    "innovation",
+    "innovation_std",
+    "status",
+)
 
 
 def variant(name: str, seed: int = 3) -> JointFusion:
@@ -153,6 +164,8 @@ def test_honest_weak_sensors_raise_as_many_alarms_as_stated_whatever_another_sen
         x = plant.A @ x + w[k]
     y[:, 0] += 10.0 ** rng.uniform(0, 9, T)
     for settings in ({}, {"eta": "adaptive"}):
-        run = JointFusion(plant, pairing=PAPER_PAIRS, false_alarm_rate=rate, **settings).run(y, covariance=False)
+        run = JointFusion(plant, pairing=PAPER_PAIRS, false_alarm_rate=rate, **settings).run(
+            y, covariance=False
+        )
         assert run.suspected[:, 1].mean() == pytest.approx(rate, rel=0.1)
         assert run.suspected[:, 0].mean() > 0.8 and not run.suspected[:, 2:].any()

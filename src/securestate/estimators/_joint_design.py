@@ -23,6 +23,7 @@ from securestate import _kernels
 from securestate._checks import real_array, whole_number
 from securestate._steady_state import EDGE
 from securestate.errors import DesignError, InputError, SecurestateWarning, ShapeError
+from securestate.estimators.adaptive_joint import LONGEST
 from securestate.plant import Plant
 from securestate.resilience.detectability import Mode, undetectable_modes
 
@@ -159,11 +160,14 @@ def adaptation(window: object, gate: object) -> tuple[int, float]:
     """Window and gate of an adaptive eta.
 
     Raises:
-        InputError: not a whole number >= 1, or not a number >= 0.
+        InputError: not a whole number from 1 to 10000, or not a number >= 0.
     """
+    length = whole_number("window", window, 1, InputError)
+    if length > LONGEST:
+        raise InputError("window", f"a whole number up to {LONGEST}", str(length))
     if isinstance(gate, bool) or not isinstance(gate, Real) or not float(gate) >= 0:
         raise InputError("gate", "a number >= 0", repr(gate))
-    return whole_number("window", window, 1, InputError), float(gate)
+    return length, float(gate)
 
 
 def _by_name(names: Sequence[str], eta: Mapping[str, Any]) -> Float:

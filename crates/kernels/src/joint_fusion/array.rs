@@ -212,16 +212,24 @@ impl Array {
         }
     }
 
-    /// E s_i s_iᵀ and E θ_i(k) s_iᵀ.
+    /// Covariance of [X̃; φ̂] of one local, X̃ = [x̃; θ − θ̂].
     #[must_use]
-    pub fn papers(&self, n: usize, i: usize, local: &Local) -> [Matrix; 2] {
+    pub fn papers(&self, n: usize, i: usize, local: &Local, pattern: &Pattern) -> Matrix {
         let (size, first) = (local.size(n), self.locals[i].first);
-        let (mut m, mut theta) = (Matrix::zeros(size, size), Matrix::zeros(local.weak, size));
-        for a in 0..size {
-            (0..size).for_each(|b| m[(a, b)] = self.product(first + a, first + b));
-            (0..local.weak).for_each(|q| theta[(q, a)] = self.product(first + size + q, first + a));
+        let mut rows: Vec<Vec<f64>> = (0..size).map(|a| self.after.row(first + a).to_vec()).collect();
+        (0..local.weak).for_each(|q| rows[n + q][self.injection(local, q)] += 1.0);
+        let mut whole = Matrix::zeros(size, size);
+        for (a, row) in rows.iter().enumerate() {
+            for (b, column) in rows.iter().enumerate() {
+                let both = row.iter().zip(column).zip(&self.weights);
+                whole[(a, b)] = both.map(|((a, b), w)| a * b * w).sum();
+            }
         }
-        [m, theta]
+        for q in 0..local.weak {
+            // What is injected into a channel that did not arrive.
+            whole[(n + q, n + q)] += pattern.eta[local.first_weak + q] - pattern.variance(local, q);
+        }
+        whole
     }
 
     /// From s to z of the next sample, made U D Uᵀ again.
