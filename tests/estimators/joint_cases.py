@@ -25,7 +25,7 @@ def paper_plant() -> Plant:
 
 
 def random_plant(seed: int, *, n: int = 3, radius: float = 0.9, **changes: Any) -> Plant:
-    """Two sensors that may lie, of two and one channels, and two that do not; noise correlated between all."""
+    """Two sensors that may lie, of two and one channels, and two that do not; noise that all share."""
     rng = np.random.default_rng(seed)
     A = rng.normal(size=(n, n))
     A *= radius / np.abs(np.linalg.eigvals(A)).max()

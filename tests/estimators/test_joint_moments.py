@@ -1,4 +1,4 @@
-"""The second moments of JointFusion: what simulation gives, what they promise, and where the printed ones break."""
+"""The second moments of JointFusion: what simulation gives, and where the printed ones break."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -50,7 +50,7 @@ def scene(T: int) -> Scene:
 
 @dataclass
 class Noise:
-    """Errors of the prior (runs, n), process (runs, T, n) and sensor noise (runs, T, m), injections (runs, T, r)."""
+    """Unit errors of the prior (runs, n), the process (runs, T, n), sensors (runs, T, m), injections (.., r)."""
 
     start: Array
     w: Array
@@ -59,14 +59,14 @@ class Noise:
 
 
 def random_noise(runs: int, T: int) -> Noise:
-    rng = np.random.default_rng(11)
+    rng = np.random.default_rng(12)
     return Noise(
         *(rng.standard_normal(shape) for shape in ((runs, 4), (runs, T, 4), (runs, T, 5), (runs, T, 2)))
     )
 
 
 def unit_noise(T: int) -> Noise:
-    """One run per unit error, of such a size that the mean over all runs of every product is the expectation."""
+    """One run per error, of such a size that the mean of a product over all runs is its expectation."""
     count = 4 + 11 * T
     unit = np.sqrt(count) * np.eye(count)
     parts = np.split(unit, np.cumsum([4, 4 * T, 5 * T]), axis=1)
@@ -185,7 +185,7 @@ def test_moments_stay_covariances_where_variances_span_22_decades(square_root: b
     )
 
 
-#: Share of samples missing, eta per sample, and the sample at which the printed form breaks down at the latest.
+#: Share of samples missing and eta per sample: where the printed form breaks down.
 BREAKS: dict[str, tuple[float, Any]] = {
     "30 % missing, eta 10": (0.3, np.full((3000, 2), 10.0)),
     "50 % missing, eta 1": (0.5, np.full((3000, 2), 1.0)),
