@@ -53,7 +53,12 @@ def test_the_kalman_filter_trusts_a_liar_and_says_so(command: Command) -> None:
 
 
 @pytest.mark.parametrize(
-    "method", [("gate",), ("chi-square", "--scope", "central", "--on-alarm", "drop-worst")]
+    "method",
+    [
+        ("gate",),
+        ("chi-square", "--scope", "central", "--on-alarm", "drop-worst"),
+        ("adaptive-joint", "--window", "10", "--gate", "16"),
+    ],
 )
 def test_a_detector_names_the_liar(command: Command, method: tuple[str, ...]) -> None:
     end = command(*LYING, "--method", *method, "--false-alarm-rate", "0.001")
@@ -153,7 +158,12 @@ def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
         (("--gamma", "1", "--kalman-probability", "0.9"), "gamma"),
         (("--kalman-probability", "2"), "kalman_probability"),
         (("--method", "kalman", "--gamma", "1"), "--gamma: expected --method sparse"),
-        (("--false-alarm-rate", "0.1"), "--false-alarm-rate: expected --method gate or --method chi-square"),
+        (
+            ("--false-alarm-rate", "0.1"),
+            "--false-alarm-rate: expected --method gate or --method chi-square or --method adaptive-joint",
+        ),
+        (("--method", "gate", "--window", "5"), "--window: expected --method adaptive-joint"),
+        (("--method", "adaptive-joint", "--gate", "0"), "gate: expected a number > 0"),
         (("--method", "gate", "--scope", "central"), "--scope: expected --method chi-square"),
         (("--method", "gate", "--false-alarm-rate", "1"), "false_alarm_rate"),
         (("--method", "chi-square", "--on-alarm", "predict"), "on_alarm"),

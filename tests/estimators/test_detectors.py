@@ -375,10 +375,12 @@ def test_settings_say_what_was_chosen() -> None:
 
 
 def test_every_registered_method_designs_and_names_its_settings() -> None:
-    plant = rate_plant(1)
+    sensors = [Sensor(f"s{i}", C=[1.0, i], R=1.0, protected=i > 5) for i in range(8)]
+    plant = Plant([[0.9, 0.2], [0.0, 0.8]], np.diag([0.5, 1.0]), sensors)
     for method in METHODS.values():
         assert method.design(plant).run(np.zeros((2, 8))).x.shape == (2, 2)
         assert method.summary and not method.summary.endswith(".")
     assert METHODS["kalman"].settings == ()
     assert METHODS["gate"].settings == ("false_alarm_rate",)
     assert METHODS["chi-square"].settings == ("scope", "on_alarm", "false_alarm_rate")
+    assert METHODS["adaptive-joint"].settings == ("window", "gate", "false_alarm_rate")

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Textbook:
-    """Per sample: x (T, n), P (T, n, n), attack, its std, innovation, its std (T, m), distance (T, N), and more (T,)."""
+    """Per sample: x (T, n), P (T, n, n), channels (T, m), excess over the quantile (T, N), numbers (T,)."""
 
     x: Array
     P: Array

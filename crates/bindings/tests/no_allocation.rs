@@ -4,6 +4,7 @@
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
+use securestate_kernels::adaptive_joint::{AdaptiveJoint, Settings};
 use securestate_kernels::detectors::local::LocalFilter;
 use securestate_kernels::detectors::{Detector, Rule};
 use securestate_kernels::joint_fusion::JointFusion;
@@ -132,12 +133,35 @@ fn a_kalman_step_allocates_nothing() {
     }
 }
 
+fn quantiles(channels: usize) -> Vec<f64> {
+    (0..=channels).map(|count| if count == 0 { f64::INFINITY } else { 6.0 }).collect()
+}
+
 /// A detector whose local filters see every state.
 fn detector(states: usize, channels: usize, rule: Rule) -> std::sync::Arc<dyn Kernel> {
     let filter = Kalman::new(model(states, channels), Some(&identity(states))).unwrap();
-    let mut quantiles = vec![6.0; channels + 1];
-    quantiles[0] = f64::INFINITY;
-    Design::boxed(Detector::new(filter, rule, quantiles).unwrap(), plain_units(channels)).unwrap()
+    let detector = Detector::new(filter, rule, quantiles(channels)).unwrap();
+    Design::boxed(detector, plain_units(channels)).unwrap()
+}
+
+#[test]
+fn an_adaptive_step_allocates_nothing_whoever_is_protected() {
+    for (n, m) in [(1, 1), (4, 5), (12, 30)] {
+        for every in [1, 2, 3] {
+            let filter = Kalman::new(model(n, m), Some(&identity(n))).unwrap();
+            let protected = (0..m.div_ceil(2)).map(|sensor| sensor % every == 0).collect();
+            let settings = Settings { protected, window: 7, gate: 9.0, quantiles: quantiles(m) };
+            let kernel =
+                Design::boxed(AdaptiveJoint::new(filter, settings).unwrap(), plain_units(m)).unwrap();
+            assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}), 1 in {every}");
+            let prior = identity(n);
+            assert_eq!(
+                allocations_of_steps(kernel.as_ref(), Some(&prior)),
+                0,
+                "prior ({n}, {m}), 1 in {every}"
+            );
+        }
+    }
 }
 
 fn local_filters(n: usize, m: usize) -> Vec<LocalFilter> {

@@ -69,7 +69,9 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(help="gate, chi-square: how often a sample of an honest sensor raises an alarm."),
+        typer.Option(
+            help="gate, chi-square, adaptive-joint: how often a sample of an honest sensor raises an alarm."
+        ),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
@@ -77,6 +79,13 @@ def estimate(
     on_alarm: Annotated[
         OnAlarm | None,
         typer.Option(help="chi-square: drop (default) or hold; central: predict (default) or drop-worst."),
+    ] = None,
+    window: Annotated[
+        int | None, typer.Option(help="adaptive-joint: samples over which lies are averaged (default: 20).")
+    ] = None,
+    gate: Annotated[
+        float | None,
+        typer.Option(help="adaptive-joint: nu²/S above which a sample counts at once (default: 9)."),
     ] = None,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
@@ -112,6 +121,8 @@ def estimate(
         "false_alarm_rate": false_alarm_rate,
         "scope": None if scope is None else scope.value,
         "on_alarm": None if on_alarm is None else on_alarm.value,
+        "window": window,
+        "gate": gate,
     }
     return run_order(
         Order(

@@ -18,6 +18,7 @@ from securestate.estimators import Estimator, Run
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Plant
 from securestate.reporting import summarise, write_report
+from securestate.reporting.beside import compare_runs
 
 BLOCK = 1000  # samples between two looks at the progress bar and at Ctrl-C
 
@@ -52,13 +53,16 @@ def run_order(order: Order) -> Exit:
         hold_inputs=order.hold_inputs,
     )
     estimator = design(plant, order.method, order.choices)
-    with console.progress(len(data.y), quiet=order.quiet) as advance:
+    other = estimator.beside
+    with console.progress(len(data.y) * (1 if other is None else 2), quiet=order.quiet) as advance:
         run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
+        beside = None if other is None else run_in_blocks(other, data, covariance=False, advance=advance)
     said = remarks(data, estimator)
-    written = _write(run, said, order)
+    written = _write(run, beside, said, order)
     summary = summarise(run)
     if not order.quiet:
-        console.show_summary(run, summary, said, written)
+        both = [] if beside is None else [compare_runs(run, beside).sentence]
+        console.show_summary(run, summary, [*both, *said], written)
     return Exit.SUSPECTED if summary.liars and not order.exit_zero else Exit.CLEAN
 
 
@@ -131,11 +135,12 @@ def _keep_inputs(order: Order) -> None:
             raise InputError(name, f"another file than {taken[path.resolve()]}", repr(str(path)))
 
 
-def _write(run: Run, said: list[str], order: Order) -> list[Path]:
+def _write(run: Run, beside: Run | None, said: list[str], order: Order) -> list[Path]:
     written = []
     if order.out is not None:
         write_run(run, order.out)
         written.append(order.out)
     if order.report is not None:
-        written.append(write_report(run, order.report, source=order.data.name, notes=said))
+        source = order.data.name
+        written.append(write_report(run, order.report, source=source, notes=said, beside=beside))
     return written

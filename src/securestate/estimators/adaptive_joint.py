@@ -1,8 +1,8 @@
 """A Kalman filter on all sensors that hears those which may lie the less, the more they seem to.
 
-A fixed compensation factor, as the joint fusion of Chen, Weng, Ho and Yu 2022 has it, hears a weak sensor too
-little while it is honest and too much while it is not. Here the factor is estimated from the innovations, given
-those of the protected sensors. Nothing is assumed about how a lie moves in time.
+A fixed compensation factor, as the joint fusion of Chen, Weng, Ho and Yu 2022 has it, hears a weak sensor
+too little while it is honest and too much while it is not. Here the factor is estimated from the innovations,
+given those of the protected sensors. Nothing is assumed about how a lie moves in time.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class AdaptiveJointFilter(Estimator):
         >>> sensors = [Sensor("weak", C=[1.0], R=1.0), Sensor("guarded", C=[1.0], R=4.0, protected=True)]
         >>> run = AdaptiveJointFilter(Plant([[0.9]], [[1.0]], sensors)).run([[0.1, 0.3], [20.0, -0.2]])
         >>> print(run.suspected[:, 0], run.attack[1].round(1), run.attack_std[1].round(1))
-        [False  True] [20.  0.] [1.5 0. ]
+        [False  True] [20.  0.] [1.4 0. ]
     """
 
     steady: SteadyState | None

@@ -135,6 +135,8 @@ class Estimator:
     kernel: _kernels.Kernel
     #: Why `run` and `start` need a prior with a covariance P; empty if they do not.
     no_steady_state: str = ""
+    #: Another estimator of the same plant whose result belongs beside this one's, or None.
+    beside: Estimator | None = None
     #: Share of missing samples above which `run` warns that the method is the wrong tool; None = never.
     missing_limit: float | None = None
 

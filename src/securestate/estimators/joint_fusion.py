@@ -126,7 +126,8 @@ class JointFusion(Estimator):
         With eta="adaptive" or protected="auto" the recursion always runs, and P is exact only for gains that
         do not depend on the data, which these do (docs/joint-fusion.md has measurements).
         BROKEN_DOWN: a moment is no covariance any more (form "printed" under dropouts or a changing eta); the
-        estimate is that of the filter beside. NO_MEASUREMENT: no channel in use arrived, or nobody is trusted.
+        estimate is that of the filter beside. NO_MEASUREMENT: no channel in use arrived, or nobody is
+        trusted.
 
     Examples:
         >>> from securestate import JointFusion, Plant, Sensor

@@ -26,10 +26,12 @@ class Method:
     Attributes:
         design: makes the estimator of a plant; settings are keywords.
         summary: what it does, one line without a full stop.
+        beside: name of the method that comparisons always show beside it; empty: none.
     """
 
     design: Callable[..., Estimator]
     summary: str
+    beside: str = ""
 
     @property
     def settings(self) -> tuple[str, ...]:
@@ -42,11 +44,13 @@ class Method:
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
-        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
-        "joint": Method(JointFusion, "estimates injections with the state, with protected sensors"),
+        "joint": Method(
+            JointFusion, "estimates injections with the state, with protected sensors", "protected"
+        ),
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+        "adaptive-joint": Method(AdaptiveJointFilter, "judges sensors by those that are protected"),
     }
 )

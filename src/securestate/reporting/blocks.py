@@ -24,7 +24,7 @@ SMALLEST_GAP = 1e-18
 Packed = dict[str, tuple[dict[str, object], str]]
 
 
-def pack_run(run: Run, clock: Clock) -> Packed:
+def pack_run(run: Run, clock: Clock, beside: Run | None = None) -> Packed:
     """Every array the report draws, by name: a description for the script, and the text."""
     noise = _typical(run.innovation_std)
     spread = _typical(run.x_std)
@@ -37,6 +37,8 @@ def pack_run(run: Run, clock: Clock) -> Packed:
         "x_std": pack(run.x_std, spread / 100, delta=True),
         "status": pack(run.status[:, None].astype(np.float64), 1.0, delta=True),
     }
+    if beside is not None:
+        blocks["beside"] = pack(beside.x, spread / 100, delta=True)
     if run.diagnostics:
         blocks["diagnostics"] = pack(np.column_stack(list(diagnostics(run).values())))
     packed: Packed = {name: (_describe(block), block.text) for name, block in blocks.items()}

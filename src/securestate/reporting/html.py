@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from plotly.offline import get_plotlyjs
 
 from securestate.reporting import tables
+from securestate.reporting.beside import compare_runs, section
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
 from securestate.reporting.page import asset, paragraphs, write_page
@@ -35,6 +36,7 @@ def write_report(
     title: str | None = None,
     source: str | os.PathLike[str] | None = None,
     notes: Sequence[str] = (),
+    beside: Run | None = None,
 ) -> Path:
     """Write the report of one run as one HTML file that opens offline. Written whole or not at all.
 
@@ -44,13 +46,14 @@ def write_report(
         title: default "Sensor report", with the plant's name.
         source: where the measurements came from, shown as given.
         notes: sentences for the reader, shown below the verdict.
+        beside: another estimator's run over the same samples, drawn and compared with the states.
     Returns:
         The path written.
     Raises:
-        InputError: names `run` if it is a batch of runs or holds no sample.
+        InputError: names `run` if it is a batch of runs or holds no sample, `beside` if it does not fit.
         OSError: the file cannot be written; nothing is left behind.
     """
-    return write_page(render(run, title=title, source=source, notes=notes), path)
+    return write_page(render(run, title=title, source=source, notes=notes, beside=beside), path)
 
 
 def render(
@@ -59,10 +62,12 @@ def render(
     title: str | None = None,
     source: str | os.PathLike[str] | None = None,
     notes: Sequence[str] = (),
+    beside: Run | None = None,
 ) -> str:
     """The report as text; arguments as for `write_report`."""
     summary, clock = summarise(run), Clock.of(run)
-    blocks = pack_run(run, clock)
+    both = None if beside is None else compare_runs(run, beside)
+    blocks = pack_run(run, clock, beside)
     script = asset(*SCRIPTS)
     data = {f"data-{name}": text for name, (_, text) in blocks.items()} | {"plotly": _plotly()}
     elements = (f'<script type="text/plain" id="{name}">{text}</script>' for name, text in data.items())
@@ -77,6 +82,7 @@ def render(
         facts=tables.facts(run, summary, clock, source),
         sensors=tables.sensors(summary, clock),
         statuses=tables.statuses(summary),
+        beside=section(both),
         plant=tables.plant(run),
         manifest=_json(manifest(run, summary, clock, blocks)),
         data="\n".join(elements),

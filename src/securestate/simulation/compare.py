@@ -52,7 +52,8 @@ def compare(
             input that holds it (`stabilised`).
         estimators: names of methods ("kalman", "sparse", ...), or functions from a plant to an estimator,
             such as `KalmanFilter` or `functools.partial(SparseFusion, gamma=2.0)`; as a list, or by the names
-            that the table shall show. The oracle, told who lies, is always there too.
+            that the table shall show. The oracle, told who lies, is always there too, and "protected" beside
+            "joint".
         attacks: adversaries by name or as a list; None stands for nobody.
         runs, steps: runs per scenario and samples per run.
         seed: of all random numbers; the same seed gives the same numbers, whoever computes them.
@@ -122,10 +123,19 @@ def campaign(
 def recipes_of(estimators: Estimators) -> list[Recipe]:
     """Recipes from names of methods, classes and functions."""
     if isinstance(estimators, Mapping):
-        return [_recipe(name, design) for name, design in estimators.items()]
-    if not isinstance(estimators, list | tuple):
+        recipes = [_recipe(name, design) for name, design in estimators.items()]
+    elif isinstance(estimators, list | tuple):
+        recipes = [_recipe(None, design) for design in estimators]
+    else:
         raise InputError("estimators", "a list, or several by name", describe(estimators))
-    return [_recipe(None, design) for design in estimators]
+    return [*recipes, *_beside(recipes)]
+
+
+def _beside(recipes: Sequence[Recipe]) -> list[Recipe]:
+    """Methods that belong beside those chosen and are not among them."""
+    chosen = [getattr(recipe.design, "func", recipe.design) for recipe in recipes]
+    asked = {method.beside for method in METHODS.values() if method.beside and method.design in chosen}
+    return [_recipe(None, name) for name in sorted(asked) if METHODS[name].design not in chosen]
 
 
 def _recipe(name: str | None, design: str | Design) -> Recipe:

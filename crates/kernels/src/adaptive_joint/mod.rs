@@ -111,10 +111,17 @@ impl AdaptiveJoint {
         let from = p.gains.channels().iter().take_while(|&&channel| self.is_protected(channel)).count();
         p.expect(model, *k);
         p.condition(0..from);
-        state.weak.listen(model, p.gains.heard(), from, p.posterior());
+        state.weak.listen(model, *k, p.gains.heard(), from, p.posterior());
         p.gains.shift_by(from, innovation, scratch);
         let quantiles = &self.settings.quantiles;
-        state.weak.measure(model, p.gains.heard(), quantiles, LIMIT, scratch, &mut state.excess);
+        state.weak.measure(
+            model,
+            p.gains.heard(),
+            (innovation, LIMIT),
+            quantiles,
+            scratch,
+            &mut state.excess,
+        );
     }
 
     /// Step 2: η of the weak channels that arrived; returns the largest over R. Cuts ν as [`AdaptiveJoint::cut`] does.

@@ -5,8 +5,8 @@
 //!     S = C_w|p P C_w|pᵀ + R_w|p,   x and P given y_p
 //! ```
 //!
-//! With L Lᵀ = R and the protected channels p first, C_w|p, R_w|p and ν are the rows of L that belong to w, without the
-//! columns of p, times what the filter has whitened anyway. No inverse and no difference of large numbers is taken.
+//! With L Lᵀ = R and the protected channels p first, R_wp R_pp⁻¹ z_p is L_wp times what the filter has whitened anyway,
+//! and R_w|p the rest of L times its transpose. No reading of a weak channel enters the ν of another.
 
 use crate::kalman::alone::{Alone, Rows};
 use crate::kalman::gains::Scratch;
@@ -14,7 +14,7 @@ use crate::kalman::heard::Heard;
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
 use crate::kalman::whitening::{Noise, Whitening};
-use crate::linalg::dot;
+use crate::linalg::{axpy, dot};
 
 /// The weak channels that arrived, in increasing order.
 #[derive(Debug, Clone)]
@@ -28,7 +28,10 @@ pub struct Weak {
     /// R_w|p without the correlation between sensors.
     noise: Noise,
     whitening: Whitening,
+    /// C_w|p
     rows: Vec<f64>,
+    /// C_w|p and ν, whitened for each sensor alone.
+    white_rows: Vec<f64>,
     white: Vec<f64>,
     row: Vec<f64>,
     alone: Alone,
@@ -47,6 +50,7 @@ impl Weak {
             whitening: Whitening::new(&noise),
             noise,
             rows: vec![0.0; m * n],
+            white_rows: vec![0.0; m * n],
             white: vec![0.0; m],
             row: vec![0.0; n],
             alone: Alone::new(model),
@@ -55,23 +59,34 @@ impl Weak {
 
     /// The part that does not see data: S, and gains of every weak sensor alone. The first `from` channels heard are
     /// the protected ones, and P given them is `p`.
-    pub fn listen(&mut self, model: &Model, heard: &Heard, from: usize, p: &Ud) {
-        let n = model.dims.states;
-        let (channels, given) = (&heard.channels()[from..], &heard.rows()[from * n..]);
+    pub fn listen(&mut self, model: &Model, k: usize, heard: &Heard, from: usize, p: &Ud) {
+        let (n, m, channels) = (model.dims.states, model.dims.channels, &heard.channels()[from..]);
         self.from = from;
-        let rows = &mut self.rows[..given.len()];
-        rows.copy_from_slice(given);
-        heard.whitening().restore_rows(from, rows, n);
+        self.note_rows(model, k, heard);
         self.note_noise(model, heard);
-        let m = model.dims.channels;
-        for (j, (&channel, row)) in channels.iter().zip(self.rows.chunks_exact(n)).enumerate() {
+        let rows = &self.rows[..channels.len() * n];
+        for ((&channel, row), variance) in channels.iter().zip(rows.chunks_exact(n)).zip(&mut self.variance) {
             let noise = self.noise.r[channel * m + channel];
             let scale = 1.0 / noise.sqrt();
             self.row.iter_mut().zip(row).for_each(|(target, value)| *target = scale * value);
-            self.variance[j] = noise * p.variance(&self.row);
+            *variance = noise * p.variance(&self.row);
         }
-        self.whitening.apply_to_rows(&mut self.rows[..given.len()], n);
-        self.alone.listen(rows_of(model, channels, &self.rows), p);
+        self.white_rows[..rows.len()].copy_from_slice(rows);
+        self.whitening.apply_to_rows(&mut self.white_rows[..rows.len()], n);
+        self.alone.listen(rows_of(model, channels, &self.white_rows), p);
+    }
+
+    /// C_w|p.
+    fn note_rows(&mut self, model: &Model, k: usize, heard: &Heard) {
+        let (n, c, white) = (model.dims.states, model.c(k), heard.rows());
+        let channels = heard.channels().iter().enumerate().skip(self.from);
+        for ((i, &channel), row) in channels.zip(self.rows.chunks_exact_mut(n)) {
+            row.copy_from_slice(&c[channel * n..(channel + 1) * n]);
+            let (first, coupling) = heard.whitening().coupling(i, self.from);
+            for (l, other) in coupling.iter().zip(white[first * n..].chunks_exact(n)) {
+                axpy(-l, other, row);
+            }
+        }
     }
 
     /// R_w|p of the channels of each sensor, and its Cholesky factors.
@@ -80,10 +95,10 @@ impl Weak {
         let channels = &heard.channels()[self.from..];
         let mut fill = |between: bool| {
             for (i, &a) in channels.iter().enumerate() {
-                for (j, &b) in channels[..=i].iter().enumerate().filter(|(_, b)| owner[**b] == owner[a]) {
-                    let known = between || i == j;
-                    let covariance =
-                        heard.whitening().covariance_given(self.from, self.from + i, self.from + j);
+                let own = channels[..=i].iter().rev().take_while(|&&b| owner[b] == owner[a]);
+                for (back, &b) in own.enumerate() {
+                    let (row, known) = (self.from + i, between || back == 0);
+                    let covariance = heard.whitening().covariance_given(self.from, row, row - back);
                     self.noise.r[a * m + b] = if known { covariance } else { 0.0 };
                 }
             }
@@ -93,29 +108,31 @@ impl Weak {
         let _ = fill(true) || fill(false);
     }
 
-    /// The part that sees data: ν, and d_i² over its quantile in `excess` (N,), NaN for a sensor without a channel here.
+    /// The part that sees data: ν, and d_i² over its quantile in `excess` (N,), NaN for a sensor without a channel
+    /// here. ν beyond `limit` counts as that far.
     ///
-    /// `scratch` holds x − x⁻ by the protected channels and the whitened innovations of all channels heard.
+    /// `scratch` holds x − x⁻ by the protected channels and their whitened innovations.
     pub fn measure(
         &mut self,
         model: &Model,
         heard: &Heard,
+        (innovation, limit): (&[f64], f64),
         quantiles: &[f64],
-        limit: f64,
         scratch: &mut Scratch,
         excess: &mut [f64],
     ) {
-        let (n, channels) = (model.dims.states, &heard.channels()[self.from..]);
-        let nu = &mut self.nu[..channels.len()];
-        let rows = heard.rows()[self.from * n..].chunks_exact(n);
-        for ((nu, row), white) in nu.iter_mut().zip(rows).zip(&scratch.channel[self.from..]) {
-            *nu = white - dot(row, &scratch.state);
+        let n = model.dims.states;
+        let channels = heard.channels().iter().enumerate().skip(self.from);
+        for (((i, &channel), row), nu) in channels.zip(self.rows.chunks_exact(n)).zip(&mut self.nu) {
+            let (first, coupling) = heard.whitening().coupling(i, self.from);
+            let known = dot(coupling, &scratch.channel[first..first + coupling.len()]);
+            *nu = innovation[channel] - known - dot(row, &scratch.state);
         }
-        heard.whitening().restore(self.from, nu);
+        let channels = &heard.channels()[self.from..];
         let white = &mut self.white[..channels.len()];
-        white.iter_mut().zip(nu).for_each(|(white, nu)| *white = nu.clamp(-limit, limit));
+        white.iter_mut().zip(&self.nu).for_each(|(white, nu)| *white = nu.clamp(-limit, limit));
         self.whitening.apply(white);
-        let of = rows_of(model, channels, &self.rows);
+        let of = rows_of(model, channels, &self.white_rows);
         self.alone.excess(of, white, quantiles, &mut scratch.state, excess);
     }
 }

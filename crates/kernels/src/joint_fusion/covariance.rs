@@ -112,22 +112,38 @@ impl Design {
             return;
         }
         p.cached = repeats;
+        self.correct_moments(p, k, pattern);
+        self.fuse(p);
+        self.innovation_deviations(p, k);
+    }
+
+    /// Gains of the locals, and all moments after the sample.
+    fn correct_moments(&self, p: &mut Covariance, k: usize, pattern: &Pattern) {
         p.pattern.copy_from(pattern);
         let (layout, model) = (&self.layout, &self.model);
         match &mut p.moments {
+            Moments::Exact(exact) => exact.correct(layout, model, k, pattern, &mut p.gains),
+            Moments::Array(array) => array.correct(layout, model, k, pattern, &mut p.gains),
+            Moments::Printed(printed) => {
+                printed.correct(layout, model, k, (pattern, &self.q), &mut p.gains);
+            }
+        }
+    }
+
+    /// Σ, weights and P_0.
+    fn fuse(&self, p: &mut Covariance) {
+        let layout = &self.layout;
+        match &mut p.moments {
             Moments::Exact(exact) => {
-                exact.correct(layout, model, k, pattern, &mut p.gains);
                 layout.pairs().for_each(|(i, j)| p.fusion.put((i, j), &exact.work[layout.pair(i, j)]));
             }
             Moments::Array(array) => {
-                array.correct(layout, model, k, pattern, &mut p.gains);
                 for pair in layout.pairs() {
                     array.block(layout.n, pair, &mut p.scratch[0]);
                     p.fusion.put(pair, &p.scratch[0]);
                 }
             }
             Moments::Printed(printed) => {
-                printed.correct(layout, model, k, (pattern, &self.q), &mut p.gains);
                 printed.own.iter().enumerate().for_each(|(i, own)| p.fusion.put((i, i), &own.px));
                 let pairs = layout.pairs().filter(|(i, j)| i < j).zip(&printed.cross);
                 pairs.for_each(|(pair, cross)| p.fusion.put(pair, &cross.px));
@@ -137,7 +153,30 @@ impl Design {
             }
         }
         p.fusion.fuse(&mut p.gains);
-        self.innovation_deviations(p, k);
+    }
+
+    /// Moments that repeat themselves when every row arrives, from covariance `p` (n, n); None if they do not within
+    /// `limit` samples.
+    ///
+    /// # Errors
+    /// If `p` is no covariance.
+    pub fn settle(&self, p: &[f64], eta: &[f64], limit: usize) -> Result<Option<Covariance>> {
+        let mut p = self.start(p, eta)?;
+        let pattern = p.pattern.clone();
+        for _ in 0..limit {
+            self.correct_moments(&mut p, 0, &pattern);
+            if p.gains.broken {
+                return Ok(None);
+            }
+            self.predict_moments(&mut p, 0);
+            if p.settled {
+                self.correct(&mut p, 0, &pattern);
+                self.predict_fused(&mut p, 0);
+                self.innovation_deviations(&mut p, 0);
+                return Ok((!p.gains.broken).then_some(p));
+            }
+        }
+        Ok(None)
     }
 
     /// sqrt diag(C (A P_0 Aᵀ + Q) Cᵀ + R).
@@ -155,6 +194,11 @@ impl Design {
         if p.cached {
             return;
         }
+        self.predict_moments(p, k);
+        self.predict_fused(p, k);
+    }
+
+    fn predict_moments(&self, p: &mut Covariance, k: usize) {
         let constant = self.model.horizon.is_none() && !p.gains.broken;
         p.settled = match &mut p.moments {
             Moments::Exact(exact) => {
@@ -171,7 +215,6 @@ impl Design {
             }
             Moments::Printed(printed) => printed.repeats(),
         } && constant;
-        self.predict_fused(p, k);
     }
 
     fn predict_fused(&self, p: &mut Covariance, k: usize) {

@@ -166,19 +166,7 @@ impl JointFusion {
             Choice::Fixed => self.eta.clone(),
             _ => vec![0.0; self.design.layout.weak],
         };
-        let mut p = self.design.start(from, &eta)?;
-        let pattern = p.pattern.clone();
-        for _ in 0..SEARCH {
-            self.design.correct(&mut p, 0, &pattern);
-            if p.cached {
-                return Ok(Some(p));
-            }
-            self.design.predict(&mut p, 0);
-            if p.gains.broken {
-                return Ok(None);
-            }
-        }
-        Ok(None)
+        self.design.settle(from, &eta, SEARCH)
     }
 
     /// Which rows of the locals arrived, and η as given.

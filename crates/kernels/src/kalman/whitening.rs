@@ -172,26 +172,12 @@ impl Whitening {
         }
     }
 
-    /// v ← L v for the part of L from row and column `from` on, `v` beginning there: undoes [`Whitening::apply`] but
-    /// for what the rows before tell.
-    pub fn restore(&self, from: usize, v: &mut [f64]) {
-        for i in (0..v.len()).rev() {
-            let (coupling, scale) = split(self.row_from(from, from + i));
-            v[i] = scale * v[i] + dot(coupling, &v[i - coupling.len()..i]);
-        }
-    }
-
-    /// The same for the rows of C (rows, n).
-    pub fn restore_rows(&self, from: usize, c: &mut [f64], n: usize) {
-        for i in (0..c.len() / n).rev() {
-            let (coupling, scale) = split(self.row_from(from, from + i));
-            let (before, rest) = c.split_at_mut(i * n);
-            let row = &mut rest[..n];
-            row.iter_mut().for_each(|value| *value *= scale);
-            for (l, other) in coupling.iter().zip(before[(i - coupling.len()) * n..].chunks_exact(n)) {
-                axpy(*l, other, row);
-            }
-        }
+    /// L_il for the columns l < `from`, and the first such l: by these the whitened rows before `from` tell of row i.
+    #[must_use]
+    pub fn coupling(&self, i: usize, from: usize) -> (usize, &[f64]) {
+        let row = self.row(i);
+        let first = i + 1 - row.len();
+        (first.min(from), &row[..from.saturating_sub(first)])
     }
 
     /// Covariance of the noise of rows i ≥ j, given that of all rows before `from`.

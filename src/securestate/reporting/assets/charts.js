@@ -80,6 +80,11 @@ function lineTraces({ view, clock, points, x: xaxis, y: yaxis }, column, value, 
   return [line, mark];
 }
 
+/** The same line of another estimator, behind it. */
+function besideTraces(where, column, value) {
+  return lineTraces(where, column, value).map((trace) => ({ ...trace, mode: "lines", line: { color: css("purple"), width: 1.2 } }));
+}
+
 /** A filled band between a lower and an upper edge, thinned to its outermost per bin. */
 function bandTraces({ view, clock, points, x: xaxis, y: yaxis }, lower, upper, width = 0) {
   const starts = bins(view.from, view.to, points / 2);

@@ -13,7 +13,7 @@ function channelPanel(table, suspected, c, more) {
   return { red: sensorOf(c).lies, ...more, traces: (where) => lineTraces(where, column, (code) => table.value(c, code), red) };
 }
 
-function statePanel(x, deviation, s) {
+function statePanel(x, deviation, s, other) {
   const column = x.column(s), spread = deviation.column(s);
   const edge = (sign) => (i) => {
     const centre = x.value(s, column[i]), width = deviation.value(s, spread[i]);
@@ -23,6 +23,7 @@ function statePanel(x, deviation, s) {
     title: MANIFEST.states[s],
     traces: (where) => [
       ...bandTraces(where, edge(-1), edge(1)),
+      ...(other ? besideTraces(where, other.column(s), (code) => other.value(s, code)) : []),
       ...lineTraces(where, column, (code) => x.value(s, code)),
     ],
   };
@@ -104,7 +105,8 @@ async function buildInjections(suspected) {
 
 async function buildStates() {
   const x = await unpack("x"), deviation = await unpack("x_std");
-  gallery(sectionOf("states"), MANIFEST.states.map((_, s) => statePanel(x, deviation, s)), 105);
+  const other = MANIFEST.blocks.beside ? await unpack("beside") : null;
+  gallery(sectionOf("states"), MANIFEST.states.map((_, s) => statePanel(x, deviation, s, other)), 105);
 }
 
 const FARTHEST = 12;
