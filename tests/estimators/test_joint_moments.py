@@ -50,7 +50,7 @@ def scene(T: int) -> Scene:
 
 @dataclass
 class Noise:
-    """Unit errors of the prior (runs, n), the process (runs, T, n), sensors (runs, T, m), injections (.., r)."""
+    """Unit errors of prior (runs, n), process (runs, T, n), sensors (runs, T, m), injections (runs, T, r)."""
 
     start: Array
     w: Array

@@ -1,7 +1,7 @@
 """Joint fusion in the paper's own variables: Lemma 1, Theorem 1, Theorem 2 and (12). Slow.
 
-printed=False repairs the recursions: Xi^1 = E_k + E_{k-1} + V + g E_{k-1} + E_{k-1} g' with g = Gamma C^a F, and
-R_ij in Theorem 2. Sample 0 is corrected with the prior as it is; a missing channel is a row of zeros.
+printed=False repairs the recursions: Xi^1 = E_k + E_{k-1} + V + g E_{k-1} + E_{k-1} g' with g = Gamma C^a F,
+and R_ij in Theorem 2. Sample 0 is corrected with the prior as it is; a missing channel is a row of zeros.
 """
 
 from collections.abc import Sequence
