@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from securestate import JointFusion, ProtectedKalman, ResumeError
+from securestate import Belief, JointFusion, ProtectedKalman, ResumeError
 from securestate.estimators import Status
 from tests.estimators.joint_cases import (
     PAPER_PAIRS,
@@ -169,3 +169,16 @@ def test_honest_weak_sensors_raise_as_many_alarms_as_stated_whatever_another_sen
         )
         assert run.suspected[:, 1].mean() == pytest.approx(rate, rel=0.1)
         assert run.suspected[:, 0].mean() > 0.8 and not run.suspected[:, 2:].any()
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_known_initial_state_is_a_prior_of_zero_covariance(name: str) -> None:
+    fusion = variant(name)
+    y, u = random_data(fusion.plant, 30, 5)
+    run = fusion.run(y, u, Belief(np.ones(3), np.zeros((3, 3))))
+    assert run.P is not None and (run.status != Status.BROKEN_DOWN).all()
+    np.testing.assert_allclose(run.x[0], 1.0, atol=1e-12)
+    np.testing.assert_allclose(run.P[0], 0.0, atol=1e-12)
+    assert all(
+        np.isfinite(getattr(run, quantity)).all() for quantity in ("x", "x_std", "P", "innovation_std")
+    )

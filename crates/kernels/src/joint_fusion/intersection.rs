@@ -71,7 +71,7 @@ impl Intersection {
         }
     }
 
-    /// [G_1 … G_r] for the diagonal blocks of Σ; false if one of them is no covariance.
+    /// [G_1 … G_r] for the diagonal blocks of Σ; false if one of them has no inverse.
     pub fn weigh(&mut self, sigma: &Matrix, weights: &mut Matrix) -> bool {
         let n = self.n;
         weights.set_zero();
