@@ -22,7 +22,7 @@ from tests.estimators.joint_cases import (
     textbook,
     varying_plant,
 )
-from tests.reference.joint_fusion import Adaptive
+from tests.reference.joint_fusion import Adaptive, joint_fusion
 
 LIARS = pytest.mark.parametrize("square_root", [False, True], ids=["joseph", "square-root"])
 
@@ -112,6 +112,35 @@ def test_if_everybody_is_trusted_it_is_the_kalman_filter(square_root: bool, dete
     np.testing.assert_array_equal(run.trust, kalman.trust)
     np.testing.assert_array_equal(run.attack, np.where(np.isnan(y), np.nan, 0.0))
     np.testing.assert_array_equal(run.diagnostics["protected"], np.nansum(kalman.trust, axis=1))
+
+
+@LIARS
+@pytest.mark.parametrize("detector", ["gate", "chi-square"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_protected_set_that_a_detector_chooses_equals_the_textbook_that_is_told(
+    seed: int, detector: Any, square_root: bool
+) -> None:
+    plant, T = random_plant(seed, radius=0.7), 40
+    (y, u), prior, eta = random_data(plant, T, seed, missing=0.1), some_prior(plant), np.array([1.5, 300.0])
+    y /= 2
+    y[15:25, 2] += 25.0
+    settings: dict[str, Any] = {"detector": detector, "square_root": square_root}
+    fusion = JointFusion(plant, protected="auto", eta=eta, false_alarm_rate=0.05, **settings)
+    run = fusion.run(y, u, prior)
+    trusted = run.trust > 0.5
+    assert trusted.any(axis=1).all() and (~trusted[:, :2]).any() and trusted[:, :2].any()
+    heard = np.repeat(trusted[:, None, plant.channel_sensor], 2, axis=1)
+    heard[:, 0, :2] = heard[:, 1, 2] = True
+    stacks = [local.stack for local in fusion.locals]
+    widths = [len(weak) for weak, _ in stacks]
+    each = np.repeat(np.where(trusted[:, :2], 0.0, eta), widths, axis=1)
+    book = joint_fusion(plant, stacks, y, u, prior.x, prior.P, each, heard=heard)
+    assert run.P is not None
+    assert_close(run.x, book.x, 1e-7)
+    assert_close(run.P, book.P0, 1e-7)
+    for i, (weak, _) in enumerate(stacks):
+        told = np.where(trusted[:, [i]], 0.0, book.X[i][:, 3:])
+        assert_close(run.attack[:, weak], np.where(np.isnan(y[:, weak]), np.nan, told), 1e-7)
 
 
 def open_plant() -> Plant:

@@ -61,8 +61,12 @@ def joint_fusion(
     eta: Array | Adaptive,
     *,
     printed: bool = False,
+    heard: NDArray[np.bool_] | None = None,
 ) -> Textbook:
-    """Over y (T, m), NaN where missing, with u (T, q), from the belief x (n,), P; eta (T, sum of p)."""
+    """Over y (T, m), NaN where missing, with u (T, q), from the belief x (n,), P; eta (T, sum of p).
+
+    `heard` (T, r, m) says which channels a local hears, if it does not hear all that arrives.
+    """
     locals_ = [Local(plant, stack, x, P, printed) for stack in stacks]
     r = len(locals_)
     pairs = {(i, j): Pair(plant, locals_[i], locals_[j], P) for i in range(r) for j in range(i + 1, r)}
@@ -70,10 +74,10 @@ def joint_fusion(
     fused = x
     for k, (yk, uk) in enumerate(zip(y, u, strict=True)):
         ends = np.cumsum([local.p for local in locals_])
-        for local, end in zip(locals_, ends, strict=True):
+        for i, (local, end) in enumerate(zip(locals_, ends, strict=True)):
             local.predict(k, u[k - 1])
             own = local.choose(eta, k, yk, uk) if isinstance(eta, Adaptive) else eta[k, end - local.p : end]
-            local.correct(k, yk, uk, own)
+            local.correct(k, yk if heard is None else np.where(heard[k, i], yk, np.nan), uk, own)
         Sigma = np.zeros((plant.n * r, plant.n * r))
         for i, local in enumerate(locals_):
             put(Sigma, i, i, local.PX[: plant.n, : plant.n])
@@ -97,8 +101,13 @@ KEPT = {"X": "X", "phi": "phi", "K": "K", "Gamma": "Gamma", "P_X": "PX", "U": "U
 
 
 def optimal_weights(Sigma: Array, n: int) -> tuple[Array, Array]:
-    """(12) and the covariance of what it fuses."""
+    """(12) and the covariance of what it fuses; without an inverse of Sigma, min tr G Sigma G' with G H = I."""
     H = np.tile(np.eye(n), (len(Sigma) // n, 1))
+    if np.linalg.cond(Sigma) > 1e9:
+        whole = np.block([[Sigma, H], [H.T, np.zeros((n, n))]])
+        right = np.vstack([np.zeros_like(H), np.eye(n)])
+        G = np.linalg.lstsq(whole, right, rcond=1e-10)[0][: len(Sigma)].T
+        return G, G @ Sigma @ G.T
     information = np.linalg.solve(Sigma, H)
     P0 = np.linalg.inv(H.T @ information)
     return P0 @ information.T, P0
