@@ -101,7 +101,7 @@ KEPT = {"X": "X", "phi": "phi", "K": "K", "Gamma": "Gamma", "P_X": "PX", "U": "U
 
 
 def optimal_weights(Sigma: Array, n: int) -> tuple[Array, Array]:
-    """(12) and the covariance of what it fuses; without an inverse of Sigma, min tr G Sigma G' with G H = I."""
+    """(12) and the covariance of what it fuses; if Sigma has no inverse, min tr G Sigma G', G H = I."""
     H = np.tile(np.eye(n), (len(Sigma) // n, 1))
     if np.linalg.cond(Sigma) > 1e9:
         whole = np.block([[Sigma, H], [H.T, np.zeros((n, n))]])
