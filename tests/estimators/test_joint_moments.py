@@ -203,6 +203,8 @@ def test_the_printed_form_breaks_down_and_says_so_and_the_exact_one_does_not(cas
     alone = ProtectedKalman(plant).run(y, prior=PAPER_PRIOR)
     broken = printed.status == Status.BROKEN_DOWN
     assert broken.any() and not broken[0]
+    if case == "eta from 10 to 0.01":
+        np.testing.assert_array_equal(np.flatnonzero(broken), np.arange(100, 3000))
     assert printed.P is not None and alone.P is not None
     for name in ("x", "x_std", "P", "attack", "attack_std"):
         np.testing.assert_array_equal(getattr(printed, name)[broken], getattr(alone, name)[broken])
