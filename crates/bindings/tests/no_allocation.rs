@@ -7,9 +7,15 @@ use std::cell::Cell;
 use securestate_kernels::adaptive_joint::{AdaptiveJoint, Settings};
 use securestate_kernels::detectors::local::LocalFilter;
 use securestate_kernels::detectors::{Detector, Rule};
+use securestate_kernels::joint_fusion::JointFusion;
+use securestate_kernels::joint_fusion::choice::Choice;
+use securestate_kernels::joint_fusion::covariance::{Design as Recursions, Form};
+use securestate_kernels::joint_fusion::fusion::Rule as Fusion;
+use securestate_kernels::joint_fusion::layout::Layout as Stacks;
 use securestate_kernels::kalman::Kalman;
 use securestate_kernels::kalman::model::{Matrices, Model};
 use securestate_kernels::projection::{Blocks, Projection};
+use securestate_kernels::protected::Protected;
 use securestate_kernels::sparse_fusion::{self, SparseFusion};
 use securestate_kernels::{Design, Dims, Kernel, Record, Units};
 
@@ -74,6 +80,10 @@ fn identity(n: usize) -> Vec<f64> {
 
 /// n states in a chain, every channel sees two of them, neighbouring channels are correlated, two channels per sensor.
 fn model(states: usize, channels: usize) -> Model {
+    Model::new(matrices(states, channels)).unwrap()
+}
+
+fn matrices(states: usize, channels: usize) -> Matrices {
     let (n, m) = (states, channels);
     let (mut a, mut c, mut r) = (identity(n), vec![0.0; m * n], identity(m));
     a.iter_mut().for_each(|value| *value *= 0.9);
@@ -85,7 +95,7 @@ fn model(states: usize, channels: usize) -> Model {
             r[(i - 1) * m + i] = 0.3;
         }
     }
-    let model = Model::new(Matrices {
+    Matrices {
         a,
         b: vec![0.1; n],
         c,
@@ -95,8 +105,7 @@ fn model(states: usize, channels: usize) -> Model {
         channel_sensor: (0..m).map(|i| i / 2).collect(),
         sensors: m.div_ceil(2),
         states,
-    });
-    model.unwrap()
+    }
 }
 
 /// The operating point of `m` channels and one input in normalised units.
@@ -247,5 +256,99 @@ fn a_sparse_fusion_step_allocates_nothing_attacked_or_not() {
     for (n, m) in [(1, 3), (3, 5), (10, 20)] {
         let kernel = sparse_fusion(n, m);
         assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "({n}, {m})");
+    }
+}
+
+/// The channels of every second sensor of `model`, and of each of the others.
+fn guarded(channels: usize) -> (Vec<usize>, Vec<Vec<usize>>) {
+    let own = (0..channels).filter(|i| (i / 2) % 2 == 1).collect();
+    let others = (0..channels.div_ceil(2)).step_by(2);
+    (own, others.map(|sensor| (2 * sensor..channels.min(2 * sensor + 2)).collect()).collect())
+}
+
+/// The Kalman filter of every second sensor, and the test of the others.
+fn protected(states: usize, channels: usize) -> Protected {
+    let (n, m, (own, _)) = (states, channels, guarded(channels));
+    let whole = matrices(n, m);
+    let pick = |rows: &[f64], width: usize| {
+        own.iter().flat_map(|&i| rows[i * width..(i + 1) * width].to_vec()).collect::<Vec<f64>>()
+    };
+    let alone = Matrices {
+        c: pick(&whole.c, n),
+        d: pick(&whole.d, 1),
+        r: own
+            .iter()
+            .flat_map(|&i| own.iter().map(move |&j| (i, j)))
+            .map(|(i, j)| whole.r[i * m + j])
+            .collect(),
+        channel_sensor: (0..own.len()).map(|i| i / 2).collect(),
+        sensors: own.len().div_ceil(2),
+        ..matrices(n, 1)
+    };
+    let filter = Kalman::new(Model::new(alone).unwrap(), Some(&identity(n))).unwrap();
+    Protected::new(filter, model(n, m), own, bounds(m)).unwrap()
+}
+
+fn bounds(channels: usize) -> Vec<f64> {
+    let mut quantiles = vec![6.0; channels + 1];
+    quantiles[0] = f64::INFINITY;
+    quantiles
+}
+
+#[test]
+fn a_protected_kalman_step_allocates_nothing() {
+    for (n, m) in [(1, 3), (4, 5), (12, 30)] {
+        let kernel = Design::boxed(protected(n, m), plain_units(m)).unwrap();
+        assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m})");
+        let prior = identity(n);
+        assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m})");
+    }
+}
+
+/// A kernel, and whether it has a steady state.
+fn joint_fusion(
+    (n, m): (usize, usize),
+    form: Form,
+    rule: Fusion,
+    choice: Choice,
+) -> (std::sync::Arc<dyn Kernel>, bool) {
+    let (own, others) = guarded(m);
+    let stacks: Vec<_> = others.into_iter().map(|weak| (weak, own.clone())).collect();
+    let model = model(n, m);
+    let layout = Stacks::new(n, &model.channel_sensor, &stacks).unwrap();
+    let eta = vec![0.5; layout.weak];
+    let design = Recursions::new(model, layout, form, rule);
+    let estimator =
+        JointFusion::new(design, (eta, choice), Some(protected(n, m)), Some(&identity(n))).unwrap();
+    let steady = estimator.is_steady();
+    (Design::boxed(estimator, plain_units(m)).unwrap(), steady)
+}
+
+#[test]
+fn a_joint_fusion_step_allocates_nothing_in_any_form() {
+    for (n, m) in [(1, 3), (4, 5), (5, 11)] {
+        let filter = Kalman::new(model(n, m), Some(&identity(n))).unwrap();
+        let detector = Box::new(Detector::new(filter, Rule::Gate, bounds(m)).unwrap());
+        let auto = Choice::Auto { detector, marked: vec![false; m.div_ceil(2)] };
+        let adaptive = Choice::Adaptive { window: 5, gate: 9.0 };
+        for (form, rule, choice) in [
+            (Form::Exact, Fusion::Optimal, Choice::Fixed),
+            (Form::SquareRoot, Fusion::Optimal, Choice::Fixed),
+            (Form::Printed, Fusion::Optimal, Choice::Fixed),
+            (Form::Exact, Fusion::Average, Choice::Fixed),
+            (Form::Exact, Fusion::CovarianceIntersection, Choice::Fixed),
+            (Form::Exact, Fusion::Optimal, adaptive.clone()),
+            (Form::SquareRoot, Fusion::Optimal, adaptive),
+            (Form::Exact, Fusion::Optimal, auto.clone()),
+            (Form::SquareRoot, Fusion::Optimal, auto),
+        ] {
+            let name = format!("({n}, {m}) {form:?} {rule:?} {choice:?}");
+            let (kernel, steady) = joint_fusion((n, m), form, rule, choice);
+            assert!(steady || form == Form::Printed, "{name}");
+            if steady {
+                assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady {name}");
+            }
+            assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&identity(n))), 0, "prior {name}");
+        }
     }
 }

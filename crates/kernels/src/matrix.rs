@@ -5,11 +5,20 @@ use std::ops::{Index, IndexMut};
 use crate::linalg::{axpy, dot};
 
 /// A matrix, row-major.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, PartialEq)]
 pub struct Matrix {
     rows: usize,
     columns: usize,
     data: Vec<f64>,
+}
+
+impl Clone for Matrix {
+    /// A copy with the same room: whoever works in it need not allocate either.
+    fn clone(&self) -> Self {
+        let mut data = Vec::with_capacity(self.data.capacity());
+        data.extend_from_slice(&self.data);
+        Self { rows: self.rows, columns: self.columns, data }
+    }
 }
 
 impl Index<(usize, usize)> for Matrix {

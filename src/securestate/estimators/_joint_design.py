@@ -23,6 +23,7 @@ from securestate import _kernels
 from securestate._checks import real_array, whole_number
 from securestate._steady_state import EDGE
 from securestate.errors import DesignError, InputError, SecurestateWarning, ShapeError
+from securestate.estimators.adaptive_joint import LONGEST
 from securestate.plant import Plant
 from securestate.resilience.detectability import Mode, undetectable_modes
 
@@ -159,11 +160,14 @@ def adaptation(window: object, gate: object) -> tuple[int, float]:
     """Window and gate of an adaptive eta.
 
     Raises:
-        InputError: not a whole number >= 1, or not a number >= 0.
+        InputError: not a whole number from 1 to 10000, or not a number >= 0.
     """
+    length = whole_number("window", window, 1, InputError)
+    if length > LONGEST:
+        raise InputError("window", f"a whole number up to {LONGEST}", str(length))
     if isinstance(gate, bool) or not isinstance(gate, Real) or not float(gate) >= 0:
         raise InputError("gate", "a number >= 0", repr(gate))
-    return whole_number("window", window, 1, InputError), float(gate)
+    return length, float(gate)
 
 
 def _by_name(names: Sequence[str], eta: Mapping[str, Any]) -> Float:
@@ -231,7 +235,10 @@ def check_stability(plant: Plant, locals_: Sequence[Local], eta: Float, form: st
 
 
 def closed_loop_radius(plant: Plant, local: Local, eta: Float, form: str, prior: Float) -> float:
-    """Spectral radius of s(k-1) -> s(k), s = [x - xhat; -thetahat; phihat], with gains that have settled."""
+    """Spectral radius of s(k-1) -> s(k), s = [x - xhat; -thetahat; phihat], with gains that have settled.
+
+    Where eta is 0 both estimates of the injection stay 0, so they are left out.
+    """
     moments = _kernels.joint_moments(
         plant,
         [local.stack],
@@ -251,7 +258,8 @@ def closed_loop_radius(plant: Plant, local: Local, eta: Float, form: str, prior:
     T = np.block([[plant.A, np.zeros((n, 2 * p))], [np.zeros((p, n)), np.eye(p), -np.eye(p)]])
     closed = np.vstack([T - K[last] @ C @ T, Gamma[last] @ C @ T])
     closed[n + p :, n + p :] += np.eye(p)
-    return float(np.abs(np.linalg.eigvals(closed)).max())
+    moves = np.concatenate([np.ones(n, dtype=np.bool_), np.tile(eta[0] > 0, 2)])
+    return float(np.abs(np.linalg.eigvals(closed[np.ix_(moves, moves)])).max())
 
 
 def as_mask(plant: Plant, steps: int, missing: ArrayLike | None) -> NDArray[np.bool_]:

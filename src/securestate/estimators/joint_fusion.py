@@ -95,7 +95,8 @@ class JointFusion(Estimator):
         fusion: "optimal" (12), "average", or "covariance-intersection" (for comparison).
         square_root: keep the moments of all locals as factors U D U' of one array. Slower (the cube of
             r (n + 3) per sample), for plants whose variances span many decades. Form "exact" only.
-        window, gate: for eta="adaptive"; samples averaged, and the squared surprise that counts at once.
+        window, gate: for eta="adaptive"; samples averaged, 1 to 10000, and the squared surprise that counts
+            at once.
         false_alarm_rate: probability per sample that an honest sensor is suspected, in (0, 1); for
             protected="auto" that of the detector.
 
@@ -124,7 +125,10 @@ class JointFusion(Estimator):
         eta or the plant varies, the recursion runs: O(r^2 n^3 + (r n)^3) for r sensors that may lie. A filter
         holds r^2 (n + 2)^2 / 2 numbers.
         With eta="adaptive" or protected="auto" the recursion always runs, and P is exact only for gains that
-        do not depend on the data, which these do (docs/joint-fusion.md has measurements).
+        do not depend on the data, which these do (docs/joint-fusion.md has measurements). An adaptive eta
+        ends at 1e12 times the variance expected; a reading further off than its root counts as that far off.
+        With an eta that is given no reading is left out: one that is off by 1e20 moves the estimate by as
+        much as its gain says.
         BROKEN_DOWN: a moment is no covariance any more (form "printed" under dropouts or a changing eta); the
         estimate is that of the filter beside. NO_MEASUREMENT: no channel in use arrived, or nobody is
         trusted.

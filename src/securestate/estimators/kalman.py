@@ -65,12 +65,21 @@ def steady_or_reason(plant: Plant) -> tuple[SteadyState | None, str]:
     Raises:
         InputError: `plant` is no plant.
     """
-    if not isinstance(plant, Plant):
-        raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
+    require_plant(plant)
     try:
         return steady_state(plant), ""
     except DesignError as reason:
         return None, str(reason)
+
+
+def require_plant(plant: object) -> None:
+    """Refuse what is no plant.
+
+    Raises:
+        InputError: it is none.
+    """
+    if not isinstance(plant, Plant):
+        raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
 
 
 def prior_covariance(steady: SteadyState | None) -> Float | None:

@@ -12,7 +12,7 @@ from securestate._steady_state import SteadyState
 from securestate.errors import DesignError
 from securestate.estimators._detectors import checked_rate, quantiles
 from securestate.estimators.base import Estimator
-from securestate.estimators.kalman import prior_covariance, steady_or_reason
+from securestate.estimators.kalman import prior_covariance, require_plant, steady_or_reason
 from securestate.plant import Plant
 
 Float = NDArray[np.float64]
@@ -73,7 +73,9 @@ def protected_alone(
 
     Raises:
         DesignError: no sensor is protected.
+        InputError: `plant` is no plant.
     """
+    require_plant(plant)
     sensors = np.flatnonzero(plant.protected).tolist()
     if not sensors:
         raise DesignError(

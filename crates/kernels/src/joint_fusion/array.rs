@@ -47,7 +47,7 @@ struct Own {
     /// [z; θ(k−1); θ(k)].
     ud: Ud,
     part: Ud,
-    rows: Vec<f64>,
+    rows: Matrix,
     weighted: Vec<f64>,
     seen: Matrix,
     /// Rows of L⁻¹ [C, Φ, 0, 0, Φ].
@@ -157,14 +157,13 @@ impl Array {
     fn correct_local(&mut self, layout: &Layout, i: usize, local: &Local, j: &Matrix) {
         let (size, first, total) = (local.size(layout.n), self.locals[i].first, self.prior.d.len());
         let own = &mut self.locals[i];
-        own.rows.clear();
-        (0..size).for_each(|a| own.rows.extend_from_slice(&self.after.row(first + a)[..total]));
+        own.rows.shape(size, total);
+        (0..size).for_each(|a| own.rows.row_mut(a).copy_from_slice(&self.after.row(first + a)[..total]));
         for row in 0..local.height() {
             // C̄ z of this row.
             self.weighted[..total].fill(0.0);
-            for (a, z) in own.rows.chunks_exact(total).enumerate().filter(|(a, _)| own.seen[(row, *a)] != 0.0)
-            {
-                axpy(own.seen[(row, a)], z, &mut self.weighted[..total]);
+            for a in (0..size).filter(|&a| own.seen[(row, a)] != 0.0) {
+                axpy(own.seen[(row, a)], own.rows.row(a), &mut self.weighted[..total]);
             }
             let noise = &self.noise.0[local.channels[row] * self.noise.1.len()..][..self.noise.1.len()];
             for a in 0..size {
@@ -212,16 +211,24 @@ impl Array {
         }
     }
 
-    /// E s_i s_iᵀ and E θ_i(k) s_iᵀ.
+    /// Covariance of [X̃; φ̂] of one local, X̃ = [x̃; θ − θ̂].
     #[must_use]
-    pub fn papers(&self, n: usize, i: usize, local: &Local) -> [Matrix; 2] {
+    pub fn papers(&self, n: usize, i: usize, local: &Local, pattern: &Pattern) -> Matrix {
         let (size, first) = (local.size(n), self.locals[i].first);
-        let (mut m, mut theta) = (Matrix::zeros(size, size), Matrix::zeros(local.weak, size));
-        for a in 0..size {
-            (0..size).for_each(|b| m[(a, b)] = self.product(first + a, first + b));
-            (0..local.weak).for_each(|q| theta[(q, a)] = self.product(first + size + q, first + a));
+        let mut rows: Vec<Vec<f64>> = (0..size).map(|a| self.after.row(first + a).to_vec()).collect();
+        (0..local.weak).for_each(|q| rows[n + q][self.injection(local, q)] += 1.0);
+        let mut whole = Matrix::zeros(size, size);
+        for (a, row) in rows.iter().enumerate() {
+            for (b, column) in rows.iter().enumerate() {
+                let both = row.iter().zip(column).zip(&self.weights);
+                whole[(a, b)] = both.map(|((a, b), w)| a * b * w).sum();
+            }
         }
-        [m, theta]
+        for q in 0..local.weak {
+            // What is injected into a channel that did not arrive.
+            whole[(n + q, n + q)] += pattern.eta[local.first_weak + q] - pattern.variance(local, q);
+        }
+        whole
     }
 
     /// From s to z of the next sample, made U D Uᵀ again.
@@ -231,13 +238,13 @@ impl Array {
         self.weights[noise..].copy_from_slice(&model.q);
         for (own, local) in self.locals.iter_mut().zip(&layout.locals) {
             let width = self.after.columns();
-            own.rows.clear();
-            (0..n).for_each(|row| own.rows.extend_from_slice(self.after.row(own.first + row)));
+            own.rows.shape(n, width);
+            (0..n).for_each(|row| own.rows.row_mut(row).copy_from_slice(self.after.row(own.first + row)));
             for row in 0..n {
                 let target = self.after.row_mut(own.first + row);
                 target.fill(0.0);
-                for (&value, source) in a[row * n..(row + 1) * n].iter().zip(own.rows.chunks_exact(width)) {
-                    axpy(value, source, target);
+                for (l, &value) in a[row * n..(row + 1) * n].iter().enumerate() {
+                    axpy(value, own.rows.row(l), target);
                 }
                 target[noise..].copy_from_slice(&model.g[row * model.q.len()..(row + 1) * model.q.len()]);
             }
@@ -270,7 +277,7 @@ impl Own {
             first,
             ud: Ud::zero(size),
             part: Ud::zero(kept),
-            rows: Vec::with_capacity(kept * width),
+            rows: Matrix::room(kept * width),
             weighted: vec![0.0; width],
             seen: Matrix::zeros(height, local.size(n)),
             white: Matrix::zeros(height, size),
@@ -292,9 +299,9 @@ impl Own {
         (rows, d): (&Matrix, &[f64]),
     ) -> bool {
         let (total, kept, size) = (d.len(), local.size(n) + local.weak, self.ud.d.len());
-        self.rows.clear();
-        (0..kept).for_each(|a| self.rows.extend_from_slice(&rows.row(self.first + a)[..total]));
-        self.part.orthogonalise(&mut self.rows, d, &mut self.weighted[..total]);
+        self.rows.shape(kept, total);
+        (0..kept).for_each(|a| self.rows.row_mut(a).copy_from_slice(&rows.row(self.first + a)[..total]));
+        self.part.orthogonalise(self.rows.numbers_mut(), d, &mut self.weighted[..total]);
         self.ud.u.fill(0.0);
         for column in 0..kept {
             self.ud.d[column] = self.part.d[column];

@@ -18,7 +18,7 @@ use crate::linalg::{cholesky, dot, forward_solve};
 use crate::matrix::Matrix;
 use crate::{Estimator, Result};
 
-/// η beyond this times S says no more.
+/// η beyond this times S says no more; a reading further off than the root of it is taken to be that far off.
 const LARGEST: f64 = 1e12;
 
 /// How η and the protected sensors are chosen.
@@ -57,6 +57,8 @@ pub enum Memory {
 #[derive(Debug, Clone)]
 pub struct Adaptive {
     window: Window,
+    /// How far every injection may be off, (Σ p_i,).
+    reach: Vec<f64>,
     p: Matrix,
     half: Vec<f64>,
     base: Vec<f64>,
@@ -158,12 +160,24 @@ pub fn trust(
     Ok(())
 }
 
+impl Memory {
+    /// How far every injection may be off, (Σ p_i,); empty if that is not limited.
+    #[must_use]
+    pub fn reach(&self) -> &[f64] {
+        match self {
+            Self::Adaptive(adaptive) => &adaptive.reach,
+            _ => &[],
+        }
+    }
+}
+
 impl Adaptive {
     fn new(design: &Design, window: usize) -> Self {
         let (layout, n) = (&design.layout, design.layout.n);
         let tallest = layout.locals.iter().map(Local::height).max().unwrap_or(0);
         Self {
             window: Window::new(layout.weak, window),
+            reach: vec![f64::INFINITY; layout.weak],
             p: Matrix::zeros(n, n),
             half: vec![0.0; n],
             base: vec![0.0; design.model.dims.channels],
@@ -194,6 +208,7 @@ impl Adaptive {
                 let (nu, s) = self.surprise(design, k, local, x, q);
                 let eta = self.window.eta(local.first_weak + q, nu, s, gate);
                 pattern.eta[local.first_weak + q] = eta.min(LARGEST * s);
+                self.reach[local.first_weak + q] = (LARGEST * s).sqrt();
             }
         }
     }

@@ -147,6 +147,9 @@ impl Design {
                 printed.own.iter().enumerate().for_each(|(i, own)| p.fusion.put((i, i), &own.px));
                 let pairs = layout.pairs().filter(|(i, j)| i < j).zip(&printed.cross);
                 pairs.for_each(|(pair, cross)| p.fusion.put(pair, &cross.px));
+                if p.cached {
+                    printed.stay();
+                }
             }
         }
         p.fusion.fuse(&mut p.gains);

@@ -33,6 +33,8 @@ pub struct Exact {
     pub theta: Vec<Matrix>,
     /// M_ij after the sample; between steps the next M⁻_ij.
     pub work: Vec<Matrix>,
+    /// M_ii after the sample without the injection, which hides the other digits if η is large.
+    apart: Vec<Matrix>,
     /// E θ_i(k) s_iᵀ.
     theta_after: Vec<Matrix>,
     /// C̄_i.
@@ -57,6 +59,7 @@ impl Exact {
         Self {
             work: prior.clone(),
             prior,
+            apart: locals.iter().map(|l| Matrix::zeros(l.size(n), l.size(n))).collect(),
             theta_after: theta.clone(),
             theta,
             seen: locals.iter().map(|l| Matrix::zeros(l.height(), l.size(n))).collect(),
@@ -150,6 +153,7 @@ impl Exact {
             let variance = after[(n + q, n + q)] + rest.sum::<f64>();
             gains.attack_std[local.first_weak + q] = variance.max(0.0).sqrt();
         }
+        self.apart[i].copy_from(after);
         for q in 0..local.weak {
             let eta = pattern.variance(local, q);
             for a in 0..j.rows() {
@@ -186,10 +190,18 @@ impl Exact {
         }
     }
 
-    /// E θ_i(k) s_iᵀ, (p_i, n + 2p_i).
+    /// Covariance of [X̃; φ̂] of one local, X̃ = [x̃; θ − θ̂]: M_ii without the injection + Σ η h hᵀ, h = F − J Φ.
     #[must_use]
-    pub fn theta_after(&self, i: usize) -> &Matrix {
-        &self.theta_after[i]
+    pub fn papers(&self, n: usize, i: usize, local: &Local, (pattern, j): (&Pattern, &Matrix)) -> Matrix {
+        let mut whole = self.apart[i].clone();
+        for q in 0..local.weak {
+            let eta = pattern.eta[local.first_weak + q];
+            let left = |a: usize| f64::from(u8::from(a == n + q)) - j[(a, q)];
+            for a in 0..j.rows() {
+                (0..j.rows()).for_each(|b| whole[(a, b)] += eta * (left(a) * left(b)));
+            }
+        }
+        whole
     }
 
     /// Covariance of x⁻ of one local, (n, n).

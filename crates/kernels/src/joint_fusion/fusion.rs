@@ -4,7 +4,8 @@
 //!     optimal   G minimises tr P_0: regression of the error e_1 on the differences e_i − e_1,
 //!               the same as (12), (HᵀΣ⁻¹H)⁻¹HᵀΣ⁻¹, but for any Σ, also one that has no inverse
 //!     average   G_i = I / r
-//!     covariance intersection   G_i = ω_i P P_i⁻¹, P = (Σ ω_i P_i⁻¹)⁻¹, ω ≥ 0 of sum 1 minimises tr P
+//!     covariance intersection   G_i = ω_i P P_i⁻¹, P = (Σ ω_i P_i⁻¹)⁻¹, ω ≥ 0 of sum 1 minimises tr P;
+//!               the mean if a P_i has no inverse, as when a state is known exactly
 //!     P_0 = Σ_ij G_i P_ij G_jᵀ for every rule
 //! ```
 //!
@@ -81,7 +82,9 @@ impl Fusion {
             Rule::Average => self.average(&mut gains.weights),
             Rule::Optimal => sound = self.regress(&mut gains.weights),
             Rule::CovarianceIntersection => {
-                sound = self.intersection.weigh(&self.sigma, &mut gains.weights);
+                if !self.intersection.weigh(&self.sigma, &mut gains.weights) {
+                    self.average(&mut gains.weights);
+                }
             }
         }
         let half = &mut self.scratch;

@@ -52,10 +52,12 @@ impl Mean {
     }
 
     /// From x⁻ to x̂ of every local and of all together; reports everything but who is trusted.
+    ///
+    /// `reach` bounds |y − C x⁻ − D u| of every injection, (Σ p_i,); empty for no bound.
     pub fn correct(
         &mut self,
         design: &Design,
-        gains: &Gains,
+        (gains, reach): (&Gains, &[f64]),
         k: usize,
         (y, u): (&[f64], &[f64]),
         out: &mut Output<'_>,
@@ -74,7 +76,9 @@ impl Mean {
             for (row, (value, &channel)) in surprise.iter_mut().zip(&local.channels).enumerate() {
                 let seen = dot(&c[channel * n..(channel + 1) * n], &own[..n]);
                 let injected = if row < local.weak { own[n + row] } else { 0.0 };
-                let given = self.base[channel] - seen - injected;
+                let bound = if row < local.weak { reach.get(local.first_weak + row) } else { None };
+                let off = self.base[channel] - seen;
+                let given = bound.map_or(off, |&bound| off.clamp(-bound, bound)) - injected;
                 *value = if given.is_nan() { 0.0 } else { given.clamp(-LARGEST, LARGEST) };
             }
             let (estimates, inputs) = own.split_at_mut(n + local.weak);

@@ -205,7 +205,7 @@ impl JointFusion {
         if let Some((filter, state)) = together {
             filter.step(state, y, u, &mut alone.output())?;
         }
-        mean.correct(&self.design, gains, k, (y, u), out);
+        mean.correct(&self.design, (gains, memory.reach()), k, (y, u), out);
         let counted = match memory {
             Memory::Auto(told) => self.repeat(&told.1, out),
             _ => self.judge(y, known.then_some(&*alone), out),

@@ -1,5 +1,7 @@
 //! Gains and moments over a stretch of samples, for those who want to read them.
 
+use std::ops::Range;
+
 use crate::Result;
 use crate::joint_fusion::covariance::{Covariance, Design, Moments};
 use crate::joint_fusion::layout::Pattern;
@@ -63,12 +65,10 @@ impl Design {
             trace.gamma[i].extend(gamma.iter().map(|value| -value));
             let [px, u, v] = match &p.moments {
                 Moments::Exact(exact) => {
-                    let m = &exact.work[self.layout.pair(i, i)];
-                    self.papers((m, exact.theta_after(i)), &p.pattern, i)
+                    Self::parts(&exact.papers(self.layout.n, i, local, (&p.pattern, j)), size)
                 }
                 Moments::Array(array) => {
-                    let [m, theta] = array.papers(self.layout.n, i, local);
-                    self.papers((&m, &theta), &p.pattern, i)
+                    Self::parts(&array.papers(self.layout.n, i, local, &p.pattern), size)
                 }
                 Moments::Printed(printed) => {
                     let own = &printed.own[i];
@@ -85,24 +85,16 @@ impl Design {
         trace.broken.push(u8::from(p.gains.broken));
     }
 
-    /// P^X = E X̃ X̃ᵀ, U = E X̃ φ̂ᵀ and V = E φ̂ φ̂ᵀ, with X̃ = s + F θ(k).
-    fn papers(&self, (m, theta): (&Matrix, &Matrix), pattern: &Pattern, i: usize) -> [Matrix; 3] {
-        let (local, n) = (&self.layout.locals[i], self.layout.n);
-        let (size, p) = (n + local.weak, local.weak);
-        let [mut px, mut u, mut v] = [(size, size), (size, p), (p, p)].map(|(a, b)| Matrix::zeros(a, b));
-        for a in 0..size {
-            px.row_mut(a).copy_from_slice(&m.row(a)[..size]);
-            u.row_mut(a).copy_from_slice(&m.row(a)[size..]);
-        }
-        for q in 0..p {
-            v.row_mut(q).copy_from_slice(&m.row(size + q)[size..]);
-            px[(n + q, n + q)] += pattern.eta[local.first_weak + q];
-            for a in 0..size {
-                px[(n + q, a)] += theta[(q, a)];
-                px[(a, n + q)] += theta[(q, a)];
-            }
-            (0..p).for_each(|l| u[(n + q, l)] += theta[(q, size + l)]);
-        }
-        [px, u, v]
+    /// P^X, U and V from the covariance of [X̃; φ̂].
+    fn parts(whole: &Matrix, size: usize) -> [Matrix; 3] {
+        let p = whole.rows() - size;
+        let part = |rows: Range<usize>, columns: Range<usize>| {
+            let mut part = Matrix::zeros(rows.len(), columns.len());
+            rows.enumerate().for_each(|(a, row)| {
+                part.row_mut(a).copy_from_slice(&whole.row(row)[columns.clone()]);
+            });
+            part
+        };
+        [part(0..size, 0..size), part(0..size, size..size + p), part(size..size + p, size..size + p)]
     }
 }

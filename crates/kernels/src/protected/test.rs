@@ -2,6 +2,7 @@
 
 use std::ops::Range;
 
+use crate::adaptive_joint::window::LIMIT;
 use crate::kalman::gains::innovation_deviations;
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
@@ -170,12 +171,12 @@ impl Test {
     fn excess(&mut self, m: usize, range: Range<usize>, attack: &[f64]) -> Option<f64> {
         if range.len() == 1 {
             let (value, variance) = (attack[range.start], self.v[range.start * m + range.start]);
-            let square = value * value / variance;
-            return square.is_finite().then(|| square / self.quantiles[1]);
+            let square = value.clamp(-LIMIT, LIMIT).powi(2) / variance;
+            return (square.is_finite() && variance.is_finite()).then(|| square / self.quantiles[1]);
         }
         let mut count = 0;
         for i in range.clone().filter(|&i| !attack[i].is_nan()) {
-            self.white[count] = attack[i];
+            self.white[count] = attack[i].clamp(-LIMIT, LIMIT);
             for (target, j) in
                 (self.factor[count * m..].iter_mut()).zip((range.start..=i).filter(|&j| !attack[j].is_nan()))
             {

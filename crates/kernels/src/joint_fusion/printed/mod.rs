@@ -136,6 +136,12 @@ impl Printed {
         }
     }
 
+    /// Back to the moments before the sample, which those after it repeat: gains found anew from them are the same.
+    pub fn stay(&mut self) {
+        std::mem::swap(&mut self.before.0, &mut self.own);
+        std::mem::swap(&mut self.before.1, &mut self.cross);
+    }
+
     /// Ξ¹, Ξ², A^a Ξ² and Ξ of (19); false if Ξ is no covariance.
     fn expect(&mut self, i: usize, n: usize, eta: &[f64], moved: Moved<'_>) -> bool {
         let (b, w, p) = (&self.before.0[i], &mut self.work, eta.len());
