@@ -14,6 +14,8 @@ from securestate import (
     AdaptiveKalman,
     AugmentedKalman,
     Estimator,
+    InnovationGate,
+    JointFusion,
     KalmanFilter,
     ProtectedKalman,
 )
@@ -48,6 +50,8 @@ def estimators(setting: Setting) -> Iterator[tuple[str, Estimator, list[int] | N
         for number, weak in WEAK.items():
             yield f"{form}.local {number}", setting.joint(form, weak=weak), None
     yield "exact.adaptive", setting.adaptive(), None
+    yield "exact.auto", JointFusion(setting.unprotected, protected="auto", detector="gate"), None
+    yield "gate", InnovationGate(setting.unprotected), None
     yield "exact.average", setting.joint("exact", fusion="average"), None
     yield "exact.intersection", setting.joint("exact", fusion="covariance-intersection"), None
     for number, weak in WEAK.items():
@@ -107,6 +111,7 @@ def claims(setting: Setting, squares: dict[str, Float]) -> dict[str, Value]:
         found[f"local 2 over {rival} at impulse"] = ratio(squares["printed.local 2"][:, at], other[:, at])
     for name in ("printed.fusion", "exact.fusion", "exact.adaptive", "adaptive joint"):
         found[f"{name} over protected only"] = ratio(squares[name], squares["protected only"])
+    found["auto over gate"] = ratio(squares["exact.auto"], squares["gate"])
     return prefixed("claim", found)
 
 

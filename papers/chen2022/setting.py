@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from papers._report import Value
-from securestate import Belief, Estimator, JointFusion, Plant, Run, Status, simulate
+from securestate import Belief, Estimator, JointFusion, Plant, Run, Sensor, Status, simulate
 from securestate.attacks import Pulse, RandomNoise
 
 Float = NDArray[np.float64]
@@ -49,6 +49,12 @@ class Setting:
     @cached_property
     def plant(self) -> Plant:
         return Plant.load(FOLDER / "plant.toml")
+
+    @cached_property
+    def unprotected(self) -> Plant:
+        """The same plant with nobody marked as protected."""
+        sensors = [Sensor(sensor.name, C=sensor.C, R=sensor.R) for sensor in self.plant.sensors]
+        return Plant(self.plant.A, self.plant.Q, sensors, dt=self.plant.dt)
 
     @cached_property
     def prior(self) -> Belief:
@@ -102,7 +108,7 @@ class Setting:
         """
         y = self.record.y if sensors is None else np.ascontiguousarray(self.record.y[..., sensors])
         run = estimator.run(y, prior=self.prior, covariance=False)
-        failed = np.count_nonzero(run.status != Status.OK)
+        failed = np.count_nonzero((run.status != Status.OK) & (run.status != Status.NO_MEASUREMENT))
         if failed:
             raise ArithmeticError(f"{estimator!r}: {failed} steps did not go well")
         return run
