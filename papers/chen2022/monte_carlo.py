@@ -63,17 +63,11 @@ def _local(setting: Setting, number: str, sensors: list[int]) -> Iterator[tuple[
     plant, choice = setting.plant.select(sensors), setting.config["baselines"]
     start, noise = choice["start"], choice["adaptive_noise"]
     for q in choice["attack_noise"]:
-        yield (
-            f"augmented {q:g}.local {number}",
-            AugmentedKalman(plant, attack_noise=q, attack_start=start + q),
-            sensors,
-        )
-    for forgetting in choice["forgetting"]:
-        yield (
-            f"zhang {forgetting:g}.local {number}",
-            AdaptiveKalman(plant, forgetting=forgetting, attack_noise=noise, attack_start=start + noise),
-            sensors,
-        )
+        augmented = AugmentedKalman(plant, attack_noise=q, attack_start=start)
+        yield f"augmented {q:g}.local {number}", augmented, sensors
+    for factor in choice["forgetting"]:
+        zhang = AdaptiveKalman(plant, forgetting=factor, attack_noise=noise, attack_start=start)
+        yield f"zhang {factor:g}.local {number}", zhang, sensors
     yield f"protected only.local {number}", ProtectedKalman(plant), sensors
 
 
