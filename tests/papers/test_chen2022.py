@@ -12,6 +12,7 @@ from papers.chen2022 import figure
 from papers.chen2022.monte_carlo import Curves
 from papers.chen2022.setting import FOLDER, Setting
 
+FIGURES = ["fig2.svg", "fig3.svg", "fig4.svg", "fig5.svg"]
 Quick = tuple[dict[str, Value], Curves]
 
 
@@ -66,7 +67,7 @@ def test_readme_holds_a_table_line_for_every_quantity(rows: dict[str, report.Row
 def test_figures_are_the_same_text_for_the_same_numbers(quick: Quick) -> None:
     first, second = (figure.draw(quick[1]) for _ in range(2))
     assert first == second
-    assert sorted(first) == ["fig2.svg", "fig3.svg", "fig4.svg", "fig5.svg"]
+    assert sorted(first) == FIGURES
     assert all(text.startswith("<?xml") for text in first.values())
 
 
@@ -84,7 +85,7 @@ def test_numbers_that_hold_give_exit_code_0_and_all_files(
 ) -> None:
     monkeypatch.setattr(program, "compute", lambda *_: quick)
     assert program.main(["--quick", "--out", str(tmp_path)]) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", *sorted(figure.draw(quick[1]))]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", *FIGURES]
     written = (tmp_path / "README.md").read_text(encoding="utf-8")
     assert "40 runs of 100 samples" in written
     assert written.startswith((FOLDER / "README.md").read_text(encoding="utf-8").split(report.BEGIN)[0])
