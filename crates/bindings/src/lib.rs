@@ -3,6 +3,7 @@
 use pyo3::prelude::*;
 
 mod arrays;
+mod augmented;
 mod detector;
 mod errors;
 mod estimate;
@@ -16,6 +17,8 @@ mod sparse_fusion;
 /// Run-time kernels of securestate.
 #[pymodule]
 mod _kernels {
+    #[pymodule_export]
+    use super::augmented::augmented;
     #[pymodule_export]
     use super::detector::detector;
     #[pymodule_export]

@@ -146,17 +146,35 @@ impl Gains {
 
     /// Leaves x[k|k] − x[k|k−1] in `scratch`; returns the normalised innovation squared.
     pub fn shift(&self, innovation: &[f64], scratch: &mut Scratch) -> f64 {
+        let mut nis = 0.0;
+        self.walk(innovation, scratch, |_, surprise, precision| nis += surprise * surprise * precision);
+        nis
+    }
+
+    /// As [`Gains::shift`]; writes what is new in each channel that arrived, in units of its standard deviation, to
+    /// the front of `out`.
+    pub fn surprises(&self, innovation: &[f64], scratch: &mut Scratch, out: &mut [f64]) {
+        self.walk(innovation, scratch, |j, surprise, precision| out[j] = surprise * precision.sqrt());
+    }
+
+    /// log det(2π S) over the channels that arrived.
+    #[must_use]
+    pub fn log_det(&self) -> f64 {
+        self.log_det
+    }
+
+    /// Correct by one whitened channel after the other; `each` gets its number, what is new in it and 1 / s.
+    #[inline(always)]
+    fn walk(&self, innovation: &[f64], scratch: &mut Scratch, mut each: impl FnMut(usize, f64, f64)) {
         let (white, shift) = (self.heard.whiten(innovation, &mut scratch.channel), &mut scratch.state);
         let n = shift.len();
         shift.fill(0.0);
-        let mut nis = 0.0;
         let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact(n));
-        for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
+        for (j, (((row, gain), precision), value)) in rows.zip(&self.precision).zip(white).enumerate() {
             let surprise = *value - dot(row, shift);
-            nis += surprise * surprise * precision;
+            each(j, surprise, *precision);
             axpy(surprise, gain, shift);
         }
-        nis
     }
 
     /// As [`Gains::correct`], to the bit, for several runs; reports only what the data change.
