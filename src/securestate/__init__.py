@@ -12,6 +12,8 @@ from securestate.errors import (
     ShapeError,
 )
 from securestate.estimators import (
+    AdaptiveKalman,
+    AugmentedKalman,
     ChiSquareFilter,
     Estimate,
     Estimator,
@@ -28,6 +30,8 @@ from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
 
 __all__ = [
+    "AdaptiveKalman",
+    "AugmentedKalman",
     "Belief",
     "ChiSquareFilter",
     "Comparison",

@@ -9,7 +9,17 @@ from securestate.plant import Plant
 
 _Float = NDArray[np.float64]
 
-__all__ = ["Estimate", "Filter", "Kernel", "PenaltySolver", "detector", "kalman", "simulate", "sparse_fusion"]
+__all__ = [
+    "Estimate",
+    "Filter",
+    "Kernel",
+    "PenaltySolver",
+    "augmented",
+    "detector",
+    "kalman",
+    "simulate",
+    "sparse_fusion",
+]
 
 @final
 class Kernel:
@@ -70,6 +80,16 @@ class PenaltySolver:
 
 def sparse_fusion(design: dict[str, object]) -> Kernel: ...
 def kalman(plant: Plant, prior: _Float | None) -> Kernel: ...
+def augmented(
+    plant: Plant,
+    prior: _Float | None,
+    *,
+    states: int,
+    weak: list[int],
+    start: _Float,
+    quantiles: _Float,
+    forgetting: tuple[float, _Float] | None,
+) -> Kernel: ...
 def detector(
     plant: Plant,
     prior: _Float | None,

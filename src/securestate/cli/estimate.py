@@ -69,7 +69,9 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(help="gate, chi-square: how often a sample of an honest sensor raises an alarm."),
+        typer.Option(
+            help="gate, chi-square, augmented, adaptive-kalman: how often an honest sensor raises an alarm."
+        ),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")

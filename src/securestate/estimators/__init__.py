@@ -1,6 +1,8 @@
 """Estimators: one file per algorithm, the protocol in `base`, all of them by name in `registry`."""
 
 from securestate._kernels import Estimate
+from securestate.estimators.adaptive_kalman import AdaptiveKalman
+from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -12,6 +14,8 @@ from securestate.estimators.sparse_fusion import SparseFusion
 
 __all__ = [
     "METHODS",
+    "AdaptiveKalman",
+    "AugmentedKalman",
     "ChiSquareFilter",
     "Estimate",
     "Estimator",

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import final
 
+from securestate.estimators.adaptive_kalman import AdaptiveKalman
+from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -42,5 +44,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+        "augmented": Method(AugmentedKalman, "takes attacks on sensors that are not protected for states"),
+        "adaptive-kalman": Method(AdaptiveKalman, "the same with attacks that drift at a constant rate"),
     }
 )
