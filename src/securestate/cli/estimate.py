@@ -70,7 +70,7 @@ def estimate(
     false_alarm_rate: Annotated[
         float | None,
         typer.Option(
-            help="gate, chi-square, adaptive-joint: how often a sample of an honest sensor raises an alarm."
+            help="how often a sample of an honest sensor raises an alarm; not for kalman and sparse."
         ),
     ] = None,
     scope: Annotated[
