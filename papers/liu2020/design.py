@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from papers.liu2020.setting import Setting, Value
+from papers._report import Value
+from papers.liu2020.setting import Setting
 from securestate import SparseFusion
 from securestate.resilience import undetectable_modes
 

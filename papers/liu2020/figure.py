@@ -1,50 +1,40 @@
-"""Fig. 2: normalised mean squared error over γ, drawn as SVG text that depends on the numbers only."""
+"""Fig. 2: normalised mean squared error over γ."""
 
 from __future__ import annotations
 
-import io
-
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from papers import _figure
+from papers._figure import BLUE as BENIGN
+from papers._figure import GREY
+from papers._figure import RED as ATTACKED
+from papers._report import Value
 from papers.liu2020.monte_carlo import Curve
-from papers.liu2020.setting import Value
 
-STYLE = {
-    "svg.hashsalt": "liu2020",
-    "font.family": "DejaVu Sans",
-    "font.size": 10,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-}
-BENIGN, ATTACKED, GREY = "#1f6f8b", "#b8442c", "#6b6b6b"
 PAPER = 0.75  # the γ at which the paper sees the minimum
 
 
 def draw(curve: Curve, attack: float) -> str:
     """Return the figure as SVG."""
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(7.2, 4.4), layout="constrained")
-        axes = figure.add_subplot()
-        gamma = np.array(curve.gamma)
-        _line(axes, gamma, curve.benign, BENIGN, "o")
-        lies = _line(axes, gamma, curve.attacked, ATTACKED, "s")
-        _label(axes, curve, lies, attack)
-        axes.set(xscale="log", yscale="log", xlabel="γ", ylabel="mean squared error / tr P")
-        axes.set_ylim(0.85, 60)
-        axes.set_xlim(gamma[0] * 0.9, 8)
-        ticks = [0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1, 2, 3, 5]
-        axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
-        axes.set_yticks([1, 2, 3, 5, 10, 20, 50], ["1", "2", "3", "5", "10", "20", "50"])
-        axes.minorticks_off()
-        axes.set_title(
-            "Fig. 2 of liu2020, simulated again; bars are ± 2 standard errors", loc="left", fontsize=10
-        )
-        text = io.StringIO()
-        figure.savefig(text, format="svg", facecolor="white", metadata={"Date": None})
-    return text.getvalue()
+    return _figure.svg("liu2020", lambda figure: _draw(figure.add_subplot(), curve, attack))
+
+
+def _draw(axes: Axes, curve: Curve, attack: float) -> None:
+    gamma = np.array(curve.gamma)
+    _line(axes, gamma, curve.benign, BENIGN, "o")
+    lies = _line(axes, gamma, curve.attacked, ATTACKED, "s")
+    _label(axes, curve, lies, attack)
+    axes.set(xscale="log", yscale="log", xlabel="γ", ylabel="mean squared error / tr P")
+    axes.set_ylim(0.85, 60)
+    axes.set_xlim(gamma[0] * 0.9, 8)
+    ticks = [0.05, 0.1, 0.2, 0.3, 0.5, 0.75, 1, 2, 3, 5]
+    axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks([1, 2, 3, 5, 10, 20, 50], ["1", "2", "3", "5", "10", "20", "50"])
+    axes.minorticks_off()
+    axes.set_title(
+        "Fig. 2 of liu2020, simulated again; bars are ± 2 standard errors", loc="left", fontsize=10
+    )
 
 
 def _line(axes: Axes, gamma: np.ndarray, values: list[Value], colour: str, marker: str) -> np.ndarray:

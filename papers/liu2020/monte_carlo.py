@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from papers.liu2020.setting import Setting, Value
+from papers._report import Value
+from papers.liu2020.setting import Setting
 from securestate import SparseFusion
 
 

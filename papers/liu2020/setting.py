@@ -11,18 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from papers._report import Value
 from securestate import Estimator, KalmanFilter, Plant, Run, SparseFusion, Status
 
 Float = NDArray[np.float64]
 FOLDER = Path(__file__).parent
-
-
-@dataclass(frozen=True)
-class Value:
-    """A number of ours and its Monte Carlo standard error (0 if it comes without chance)."""
-
-    number: float
-    error: float = 0.0
 
 
 @dataclass(frozen=True)

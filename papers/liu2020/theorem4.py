@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linprog, minimize
 
-from papers.liu2020.setting import Setting, Value
+from papers._report import Value
+from papers.liu2020.setting import Setting
 from securestate import SparseFusion
 
 Float = NDArray[np.float64]

@@ -13,6 +13,8 @@ from securestate.errors import (
 )
 from securestate.estimators import (
     AdaptiveJointFilter,
+    AdaptiveKalman,
+    AugmentedKalman,
     ChiSquareFilter,
     Estimate,
     Estimator,
@@ -32,6 +34,8 @@ from securestate.simulation import Comparison, Trajectory, compare, simulate
 
 __all__ = [
     "AdaptiveJointFilter",
+    "AdaptiveKalman",
+    "AugmentedKalman",
     "Belief",
     "ChiSquareFilter",
     "Comparison",

@@ -15,6 +15,7 @@ __all__ = [
     "Kernel",
     "PenaltySolver",
     "adaptive_joint",
+    "augmented",
     "detector",
     "joint_fusion",
     "joint_moments",
@@ -85,6 +86,16 @@ def sparse_fusion(design: dict[str, object]) -> Kernel: ...
 def kalman(plant: Plant, prior: _Float | None) -> Kernel: ...
 def adaptive_joint(
     plant: Plant, prior: _Float | None, *, window: int, gate: float, quantiles: _Float
+) -> Kernel: ...
+def augmented(
+    plant: Plant,
+    prior: _Float | None,
+    *,
+    states: int,
+    weak: list[int],
+    start: _Float,
+    quantiles: _Float,
+    forgetting: tuple[float, _Float] | None,
 ) -> Kernel: ...
 def detector(
     plant: Plant,

@@ -3,22 +3,25 @@
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
+from papers import _report as report
+from papers._report import Value
 from papers.liu2020 import __main__ as program
-from papers.liu2020 import figure, report
+from papers.liu2020 import figure
 from papers.liu2020.monte_carlo import Curve
-from papers.liu2020.setting import FOLDER, Setting, Value
+from papers.liu2020.setting import FOLDER, Setting
 
 
 @pytest.fixture(scope="module")
 def quick() -> tuple[dict[str, Value], Curve]:
-    return program.compute(Setting("quick"), program.Console(quiet=True))
+    return program.compute(Setting("quick"), Console(quiet=True))
 
 
 @pytest.fixture(scope="module")
 def rows(quick: tuple[dict[str, Value], Curve]) -> dict[str, report.Row]:
-    judged = report.judge(quick[0], "quick")
-    keys = [row["key"] for section in report.expected()["sections"] for row in section["rows"]]
+    judged = report.judge(FOLDER, quick[0], "quick")
+    keys = [row["key"] for section in report.expected(FOLDER)["sections"] for row in section["rows"]]
     return dict(zip(keys, judged, strict=True))
 
 
@@ -35,7 +38,7 @@ def test_every_simulated_number_is_the_expected_one_within_four_standard_errors(
 ) -> None:
     simulated = {key: row for key, row in rows.items() if row.value.error > 0}
     assert len(simulated) > 60
-    assert report.expected()["sigma"]["quick"] == 4
+    assert report.expected(FOLDER)["sigma"]["quick"] == 4
     assert [key for key, row in simulated.items() if not row.holds] == []
 
 
@@ -105,4 +108,4 @@ def test_files_are_written_all_or_none(tmp_path: Path) -> None:
 
 def test_a_number_that_nothing_expects_is_refused(quick: tuple[dict[str, Value], Curve]) -> None:
     with pytest.raises(KeyError, match="surprise"):
-        report.judge(quick[0] | {"surprise": Value(1.0)}, "quick")
+        report.judge(FOLDER, quick[0] | {"surprise": Value(1.0)}, "quick")

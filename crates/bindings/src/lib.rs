@@ -4,6 +4,7 @@ use pyo3::prelude::*;
 
 mod adaptive_joint;
 mod arrays;
+mod augmented;
 mod detector;
 mod errors;
 mod estimate;
@@ -20,6 +21,8 @@ mod sparse_fusion;
 mod _kernels {
     #[pymodule_export]
     use super::adaptive_joint::adaptive_joint;
+    #[pymodule_export]
+    use super::augmented::augmented;
     #[pymodule_export]
     use super::detector::detector;
     #[pymodule_export]

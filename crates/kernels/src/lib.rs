@@ -3,6 +3,7 @@
 //! Reading order: [`estimator`] (the trait), [`bank`] (the drivers over it), then one file per algorithm.
 
 pub mod adaptive_joint;
+pub mod augmented;
 pub mod bank;
 pub mod codec;
 pub mod detectors;

@@ -97,7 +97,7 @@ def estimate(
     false_alarm_rate: Annotated[
         float | None,
         typer.Option(
-            help="all but sparse and kalman: how often a sample of an honest sensor raises an alarm."
+            help="how often a sample of an honest sensor raises an alarm; not for kalman and sparse."
         ),
     ] = None,
     scope: Annotated[

@@ -2,6 +2,8 @@
 
 from securestate._kernels import Estimate
 from securestate.estimators.adaptive_joint import AdaptiveJointFilter
+from securestate.estimators.adaptive_kalman import AdaptiveKalman
+from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -16,6 +18,8 @@ from securestate.estimators.sparse_fusion import SparseFusion
 __all__ = [
     "METHODS",
     "AdaptiveJointFilter",
+    "AdaptiveKalman",
+    "AugmentedKalman",
     "ChiSquareFilter",
     "Estimate",
     "Estimator",

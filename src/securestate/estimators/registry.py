@@ -9,6 +9,8 @@ from types import MappingProxyType
 from typing import final
 
 from securestate.estimators.adaptive_joint import AdaptiveJointFilter
+from securestate.estimators.adaptive_kalman import AdaptiveKalman
+from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
@@ -54,5 +56,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
+        "augmented": Method(AugmentedKalman, "takes attacks on sensors that are not protected for states"),
+        "adaptive-kalman": Method(AdaptiveKalman, "the same with attacks that drift at a constant rate"),
     }
 )

@@ -187,17 +187,44 @@ impl Gains {
 
     /// The same by the first `count` channels only; leaves L⁻¹ of all innovations at the front of `scratch.channel`.
     pub fn shift_by(&self, count: usize, innovation: &[f64], scratch: &mut Scratch) -> f64 {
+        let mut nis = 0.0;
+        self.walk(count, innovation, scratch, |_, surprise, precision| {
+            nis += surprise * surprise * precision;
+        });
+        nis
+    }
+
+    /// As [`Gains::shift`]; writes what is new in each channel that arrived, in units of its standard deviation, to
+    /// the front of `out`.
+    pub fn surprises(&self, innovation: &[f64], scratch: &mut Scratch, out: &mut [f64]) {
+        let count = self.channels().len();
+        self.walk(count, innovation, scratch, |j, surprise, precision| out[j] = surprise * precision.sqrt());
+    }
+
+    /// log det(2π S) over the channels that arrived.
+    #[must_use]
+    pub fn log_det(&self) -> f64 {
+        self.log_det
+    }
+
+    /// Correct by the first `count` whitened channels; `each` gets its number, what is new in it and 1 / s.
+    #[inline(always)]
+    fn walk(
+        &self,
+        count: usize,
+        innovation: &[f64],
+        scratch: &mut Scratch,
+        mut each: impl FnMut(usize, f64, f64),
+    ) {
         let (white, shift) = (self.heard.whiten(innovation, &mut scratch.channel), &mut scratch.state);
         let (n, white) = (shift.len(), &white[..count]);
         shift.fill(0.0);
-        let mut nis = 0.0;
         let rows = self.heard.rows().chunks_exact(n).zip(self.gain.chunks_exact(n));
-        for (((row, gain), precision), value) in rows.zip(&self.precision).zip(white) {
+        for (j, (((row, gain), precision), value)) in rows.zip(&self.precision).zip(white).enumerate() {
             let surprise = *value - dot(row, shift);
-            nis += surprise * surprise * precision;
+            each(j, surprise, *precision);
             axpy(surprise, gain, shift);
         }
-        nis
     }
 
     /// As [`Gains::correct`], to the bit, for several runs; reports only what the data change.

@@ -82,6 +82,17 @@ impl Ud {
         s
     }
 
+    /// P ← diag(factors) P diag(factors), no factor zero.
+    pub fn scale(&mut self, factors: &[f64]) {
+        let n = self.d.len();
+        for (j, d) in self.d.iter_mut().enumerate() {
+            *d *= factors[j] * factors[j];
+            for (u, factor) in self.u[j * n..j * n + j].iter_mut().zip(factors) {
+                *u *= factor / factors[j];
+            }
+        }
+    }
+
     /// s = h P hᵀ + 1, to the bit as [`Ud::condition`] returns it.
     #[must_use]
     pub fn variance(&self, h: &[f64]) -> f64 {

@@ -1,4 +1,11 @@
-"""The program's numbers beside the paper's and the expected ones: judged, printed, and kept in README.md."""
+"""A program's numbers beside the paper's and the expected ones: judged, printed, and kept in README.md.
+
+A reproduction is a folder that holds its program, README.md and expected.json:
+
+    |ours - expected| <= abs + rel |expected| + sigma * standard error,
+
+where 'paper' of a row is what the paper says, as words and as a number with the tolerance of its words.
+"""
 
 from __future__ import annotations
 
@@ -13,9 +20,15 @@ from typing import Any
 
 from rich.table import Table
 
-from papers.liu2020.setting import FOLDER, Value
-
 BEGIN, END = "<!-- begin: written by the program -->", "<!-- end -->"
+
+
+@dataclass(frozen=True)
+class Value:
+    """A number of ours and its Monte Carlo standard error (0 if it comes without chance)."""
+
+    number: float
+    error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,18 +98,18 @@ def _grid(title: str, rows: list[Row]) -> Sheet:
     return Sheet(f"{title}; in brackets the expected number", ["", *columns], lines)
 
 
-def expected() -> dict[str, Any]:
-    """Return expected.json: the printed matrices of the paper, and a row per quantity."""
-    return json.loads((FOLDER / "expected.json").read_text(encoding="utf-8"))
+def expected(folder: Path) -> dict[str, Any]:
+    """Return expected.json of a reproduction: a row per quantity, and what else its program needs."""
+    return json.loads((folder / "expected.json").read_text(encoding="utf-8"))
 
 
-def judge(found: dict[str, Value], size: str) -> list[Row]:
+def judge(folder: Path, found: dict[str, Value], size: str) -> list[Row]:
     """Put every number beside its row of expected.json.
 
     Raises:
         KeyError: a number without a row, or a row without a number.
     """
-    wanted = expected()
+    wanted = expected(folder)
     sigma = wanted["sigma"][size]
     keys = {row["key"] for section in wanted["sections"] for row in section["rows"]}
     if keys != set(found):
@@ -121,6 +134,16 @@ def _row(section: str, row: dict[str, Any], value: Value, sigma: float) -> Row:
         tolerance=tolerance,
         paper=paper["says"] if paper else "",
         reproduces=abs(value.number - paper["value"]) <= paper["abs"] + chance if paper else None,
+    )
+
+
+def verdict(rows: list[Row]) -> str:
+    """What came out, in two sentences."""
+    stated = [row for row in rows if row.reproduces is not None]
+    failed = [row.quantity for row in stated if not row.reproduces]
+    return (
+        f"{sum(row.holds for row in rows)} of {len(rows)} numbers are as expected. Of {len(stated)} that the "
+        f"paper states, {len(stated) - len(failed)} reproduce; not: {'; '.join(failed) or 'none'}."
     )
 
 
@@ -153,9 +176,9 @@ def markdown(sheet: Sheet) -> str:
     return "\n".join([f"### {sheet.title}", "", *lines, ""])
 
 
-def readme(rows: list[Row], setup: str) -> str:
+def readme(folder: Path, rows: list[Row], setup: str) -> str:
     """README.md with its tables replaced by those of this run."""
-    text = (FOLDER / "README.md").read_text(encoding="utf-8")
+    text = (folder / "README.md").read_text(encoding="utf-8")
     head, rest = text.split(BEGIN)
     tail = rest.split(END)[1]
     body = "\n".join(markdown(sheet) for sheet in sheets(rows))
