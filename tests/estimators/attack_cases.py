@@ -147,7 +147,7 @@ def assert_numbers_stay_numbers(estimator: Estimator, prior: Belief | None) -> R
 
 
 def four_bus_runs(runs: int, seed: int, steps: int = 100) -> tuple[Plant, Belief, Array, Array]:
-    """Sensors weak 1, protected 3 and 4 of the example, theta_1 white of variance 5: x and y of k = 1..steps."""
+    """Weak 1, protected 3 and 4 of the example, theta_1 white of variance 5: x and y of k = 1, 2, ..."""
     plant = Plant.load(ROOT / "examples/four-bus/plant.toml").select([0, 2, 3])
     rng = np.random.default_rng(seed)
     state, x = rng.normal(size=(runs, 4)), np.empty((runs, steps, 4))
