@@ -146,8 +146,10 @@ def assert_numbers_stay_numbers(estimator: Estimator, prior: Belief | None) -> R
     return run
 
 
-def four_bus_runs(runs: int, seed: int, steps: int = 100) -> tuple[Plant, Belief, Array, Array]:
-    """Sensors weak 1, protected 3 and 4 of the example, theta_1 white of variance 5: x and y of k = 1..steps."""
+def four_bus_runs(
+    runs: int, seed: int, steps: int = 100, variance: float = 5.0
+) -> tuple[Plant, Belief, Array, Array]:
+    """Weak 1, protected 3 and 4 of the example, theta_1 white: prior, x and y of k = 1, 2, ..."""
     plant = Plant.load(ROOT / "examples/four-bus/plant.toml").select([0, 2, 3])
     rng = np.random.default_rng(seed)
     state, x = rng.normal(size=(runs, 4)), np.empty((runs, steps, 4))
@@ -155,7 +157,7 @@ def four_bus_runs(runs: int, seed: int, steps: int = 100) -> tuple[Plant, Belief
         state = state @ plant.A.T + rng.normal(size=(runs, 4)) * np.sqrt(np.diag(plant.Q))
         x[:, k] = state
     y = x @ plant.C.T + rng.normal(size=(runs, steps, 3)) * np.sqrt(np.diag(plant.R))
-    y[..., 0] += np.sqrt(5) * rng.normal(size=(runs, steps))
+    y[..., 0] += np.sqrt(variance) * rng.normal(size=(runs, steps))
     return plant, Belief(np.zeros(4), plant.A @ plant.A.T + plant.Q), x, y
 
 

@@ -1,4 +1,4 @@
-"""Zhang's adaptive filter on attacks: the textbook, the published errors, what P means, and when it gives up."""
+"""Zhang's adaptive filter: the textbook, the published errors, what P means, and when it gives up."""
 
 from typing import Any
 

@@ -71,6 +71,14 @@ def test_the_state_error_is_that_of_an_independent_program(
     cases.assert_published(estimator, row, four_bus)
 
 
+@pytest.mark.parametrize(("q", "low"), [(0.01, 0.0), (10.0, 0.03)])
+def test_honest_sensors_raise_no_more_alarms_than_stated(q: float, low: float) -> None:
+    plant, _, _, y = cases.four_bus_runs(200, seed=1, variance=0.0)
+    run = AugmentedKalman(plant, attack_noise=q, false_alarm_rate=0.05).run(y)
+    assert low < run.suspected[:, 20:, 0].mean() < 0.05
+    assert not run.suspected[..., 1:].any()
+
+
 def test_batch_equals_loop_and_resumed_runs_to_the_bit() -> None:
     plant = cases.weak_plant(2)
     cases.assert_batch_is_loop_and_resumes(AugmentedKalman(plant), None)

@@ -5,6 +5,9 @@ use std::alloc::{GlobalAlloc, Layout, System};
 use std::cell::Cell;
 
 use securestate_kernels::adaptive_joint::{AdaptiveJoint, Settings};
+use securestate_kernels::augmented::Augmented;
+use securestate_kernels::augmented::drift::Forgetting;
+use securestate_kernels::augmented::report::Report;
 use securestate_kernels::detectors::local::LocalFilter;
 use securestate_kernels::detectors::{Detector, Rule};
 use securestate_kernels::joint_fusion::JointFusion;
@@ -191,6 +194,30 @@ fn a_detector_step_allocates_nothing_alarmed_or_not() {
             assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}) {rule:?}");
             let prior = identity(n);
             assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m}) {rule:?}");
+        }
+    }
+}
+
+/// A filter whose last state is what is injected into the first channel.
+fn augmented(states: usize, channels: usize, factor: Option<f64>) -> std::sync::Arc<dyn Kernel> {
+    let (filter, start) = (Kalman::new(model(states, channels), Some(&identity(states))).unwrap(), vec![1.0]);
+    let mut quantiles = vec![6.0; channels + 1];
+    quantiles[0] = f64::INFINITY;
+    let report = Report { states: states - 1, weak: vec![0], quantiles };
+    let forgetting = factor.map(|factor| Forgetting { factor, start: start.clone() });
+    let estimator = Augmented::new(filter, report, start, forgetting).unwrap();
+    Design::boxed(estimator, plain_units(channels)).unwrap()
+}
+
+#[test]
+fn a_step_with_attacks_as_states_allocates_nothing_broken_down_or_not() {
+    for (n, m) in [(2, 1), (4, 5), (12, 30)] {
+        for factor in [None, Some(0.95), Some(1e-30)] {
+            let kernel = augmented(n, m, factor);
+            assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}) {factor:?}");
+            let prior = identity(n - 1);
+            let started = allocations_of_steps(kernel.as_ref(), Some(&prior));
+            assert_eq!(started, 0, "prior ({n}, {m}) {factor:?}");
         }
     }
 }

@@ -2,8 +2,8 @@
 
     X = [x; theta],   X[k+1] = diag(A, I) X[k] + [B; 0] u + [w; phi],   y = [C, Phi] X + D u + v
 
-theta has one entry per channel of a weak sensor, one that is not protected; Phi adds it to that channel. phi, the
-increment of theta, is treated as white.
+theta has one entry per channel of a weak sensor, one that is not protected; Phi adds it to that channel. phi,
+the increment of theta, is treated as white.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ class Augmented:
     Args:
         plant: the plant.
         noise: variance of the increment of an injection per sample, (sensor unit)^2.
-        start: variance of an injection before the first sample, on top of one increment, (sensor unit)^2; None
-            means that of the increment.
+        start: variance of an injection before the first sample, on top of one increment, (sensor unit)^2;
+            None means that of the increment.
 
     Attributes:
         weak: the channels that can be attacked, (w,).
@@ -172,8 +172,8 @@ def _refuse_one_kind(plant: Plant) -> None:
 def _refuse_hidden(plant: Plant, augmented: Plant) -> None:
     """Refuse a mode that no sensor sees, or one at 1 that an attack on the weak sensors can imitate.
 
-    (diag(A, I), [C, Phi]) hides a mode at another eigenvalue than 1 if and only if (A, C) does; one at 1 if and
-    only if the protected sensors do not see it.
+    (diag(A, I), [C, Phi]) hides a mode at another eigenvalue than 1 if and only if (A, C) does; one at 1 if
+    and only if the protected sensors do not see it.
     """
     for mode in undetectable_modes(plant):
         raise DesignError(

@@ -16,12 +16,13 @@ from securestate.plant import Plant
 class AdaptiveKalman(Estimator):
     """A Kalman filter on state and injections that also estimates how the injections drift.
 
-        X = [x; theta],   X[k+1] = diag(A, I) X[k] + [B; 0] u[k] + [0; I] phi + noise,   y = [C, Phi] X + D u + v
+        X = [x; theta],   X[k+1] = diag(A, I) X[k] + [B; 0] u[k] + [0; I] phi + noise
+        y = [C, Phi] X + D u + v
         phi[k] = phi[k-1] + Gamma[k] e[k],   X[k|k] = X[k|k-1] + K[k] e[k] + Upsilon[k] (phi[k] - phi[k-1])
 
-    theta is what is injected into the channels of the weak sensors, those not protected. e is the innovation, K
-    the gain of the Kalman filter with phi known; phi, the drift per sample, is taken for constant and found by
-    recursive least squares with forgetting. Channels may be missing one by one (NaN). A and C may vary in time.
+    theta is what is injected into the channels of the weak sensors, those not protected. e is the innovation,
+    K the gain of the Kalman filter with phi known; phi, the drift per sample, is taken for constant and found
+    by recursive least squares with forgetting. Channels may be missing one by one (NaN). A and C may vary.
 
     Args:
         plant: a plant with at least one protected and one weak sensor. Without a steady state, as when it
@@ -29,7 +30,7 @@ class AdaptiveKalman(Estimator):
         forgetting: lambda in (0, 1]; the drift remembers about 1 / (1 - lambda) samples.
         attack_noise: variance of the noise on the increment of an injection, as in `AugmentedKalman`.
         attack_start: variance of an injection one sample before the first; theta[0] before y[0] is 0 with
-            variance attack_start + attack_noise and the drift on top. Used with a prior that has a covariance.
+            variance attack_start + attack_noise and the drift on top. It counts with a prior that has a P.
         drift_start: variance of the drift before the first sample, in (sensor unit per sample)^2, > 0, in the
             same forms.
         false_alarm_rate: as in `AugmentedKalman`, in (0, 1).
@@ -46,12 +47,12 @@ class AdaptiveKalman(Estimator):
         `Run.P` is the upper left block of P + Upsilon S Upsilon', P the covariance of the Kalman filter that
         knows phi. It is the covariance of the error if the drift is constant and forgetting is 1; with
         forgetting below 1 it is an upper bound for a constant drift. For a drift that changes it says little.
-        `Run.attack`, `attack_std`, `trust` and `suspected` come from theta and its part of the same matrix, as
-        in `AugmentedKalman`. `Run.innovation` is y - [C, Phi] X[k|k-1] - D u with the drift in X[k|k-1];
+        `Run.attack`, `attack_std`, `trust` and `suspected` come from theta and its part of the same matrix,
+        as in `AugmentedKalman`. `Run.innovation` is y - [C, Phi] X[k|k-1] - D u with the drift in X[k|k-1];
         innovation_std, "log_likelihood" and "nis" take S / lambda for the uncertainty of the drift.
         The drift of a channel that did not arrive is not forgotten, so that S does not grow in silence.
-        BROKEN_DOWN: S has grown beyond 1/eps of where it began, because nothing tells the drift any more, or a
-        number overflowed. The sample shows the Kalman filter with drift 0, and the drift starts anew.
+        BROKEN_DOWN: S has grown beyond 1/eps of where it began, because nothing tells the drift any more, or
+        a number overflowed. The sample shows the Kalman filter with drift 0, and the drift starts anew.
         ILL_CONDITIONED: as `KalmanFilter`.
 
     References:

@@ -29,8 +29,9 @@ class AugmentedKalman(Estimator):
         attack_start: the variance of an injection one sample before the first, in the same units and forms;
             None means that of `attack_noise`. With a prior that has a covariance, theta[0] before y[0] is
             0 with variance attack_start + attack_noise, independent of x[0].
-        false_alarm_rate: probability that theta of an honest sensor is suspected, if its injection were as
-            likely as the model says, in (0, 1).
+        false_alarm_rate: probability that the model gives to a theta as far from its estimate as 0 is when a
+            sensor is suspected, in (0, 1). An upper bound for honest sensors, whose theta stays 0: they raise
+            alarms the more rarely the smaller attack_noise is.
 
     Attributes:
         steady: the steady state of the augmented filter, n + w states, or None.

@@ -46,7 +46,7 @@ _ADVICE = {
     Status.NOT_CONVERGED: "The solver stopped at its cap; diagnostic 'gap' says how far it is from the end.",
     Status.ILL_CONDITIONED: "The sensors that are left do not determine the state; the estimate is a guess.",
     Status.BROKEN_DOWN: (
-        "The method's own recursion broke down; this sample shows the safer filter that its documentation names."
+        "The method's own recursion broke down; this sample shows the safer filter that its page names."
     ),
 }
 

@@ -1,14 +1,14 @@
 //! A constant drift φ of the injections, estimated by recursive least squares with forgetting.
 //!
 //! ```text
-//!     X[k+1] = A X[k] + F φ + w,   F = [0; I]                                                    (1)
-//!     Ω = C Υ⁻,   Υ = (I − K C) Υ⁻,   Υ⁻ ← A Υ + F                                          (5f), (5e)
-//!     Λ = (λ Σ + Ω S Ωᵀ)⁻¹,   Γ = S Ωᵀ Λ,   S ← (S − S Ωᵀ Λ Ω S) / λ                         (5g)–(5i)
-//!     φ ← φ + Γ (y − C X⁻),   X = X⁻ + K (y − C X⁻) + Υ (φ[k] − φ[k−1])                      (5j)–(5l)
+//!     X[k+1] = A X[k] + F φ + w,   F = [0; I]
+//!     Ω = C Υ⁻,   Υ = (I − K C) Υ⁻,   Υ⁻ ← A Υ + F
+//!     Λ = (λ Σ + Ω S Ωᵀ)⁻¹,   Γ = S Ωᵀ Λ,   S ← (S − S Ωᵀ Λ Ω S) / λ
+//!     φ ← φ + Γ (y − C X⁻),   X = X⁻ + K (y − C X⁻) + Υ (φ[k] − φ[k−1])
 //! ```
 //!
 //! K and Σ are those of the Kalman filter that takes φ for zero. With its state X⁰, which starts where X does,
-//! X = X⁰ + Υ φ at all times, and S ← S/λ followed by a plain correction by Ω is (5g)–(5i). So X⁰ runs on its own,
+//! X = X⁰ + Υ φ at all times, and S ← S/λ followed by a plain correction by Ω gives S and Γ as above. So X⁰ runs on its own,
 //! and what is new in its innovations is a measurement of φ with independent noise of variance 1 per channel.
 //!
 //! # References
