@@ -67,6 +67,7 @@ class Comparison:
         precise: the rival with tightened tolerances, untimed, which is held to `tolerance` in its place;
             the error of what is timed is then only reported.
         target: smallest ratio asked for, if any.
+        alike: False for two methods that answer differently, so that only their times are compared.
     """
 
     case: str
@@ -76,6 +77,7 @@ class Comparison:
     tolerance: float = 0.0
     target: float | None = None
     precise: Contender | None = None
+    alike: bool = True
 
     def difference(self) -> float:
         """Largest difference of the results, relative to the largest number. Also warms both sides up.
@@ -86,6 +88,9 @@ class Comparison:
         ours = self.ours.result()
         if self.theirs is None:
             return 0.0
+        if not self.alike:
+            self.theirs.result()
+            return float("nan")
         judged = _difference(ours, (self.precise or self.theirs).result())
         if not judged <= self.tolerance:
             raise DisagreementError(f"{self.case} {self.size}: {self.theirs.name} differs by {judged:.1e}")
