@@ -153,6 +153,7 @@ impl Design {
             }
         }
         p.fusion.fuse(&mut p.gains);
+        p.gains.lay_out();
     }
 
     /// Moments that repeat themselves when every row arrives, from covariance `p` (n, n); None if they do not within

@@ -10,6 +10,8 @@ pub struct Gains {
     pub j: Vec<Matrix>,
     /// [G_1 … G_r], (n, n r).
     pub weights: Matrix,
+    /// J_iᵀ and [G_1 … G_r]ᵀ, for products along contiguous memory.
+    pub columns: (Vec<Matrix>, Matrix),
     /// P_0, covariance of the fused estimate, (n, n).
     pub covariance: Matrix,
     /// Its deviations, (n,).
@@ -30,6 +32,10 @@ impl Gains {
         Self {
             j: layout.locals.iter().map(|l| Matrix::zeros(l.size(n), l.height())).collect(),
             weights: Matrix::zeros(n, n * layout.count()),
+            columns: (
+                layout.locals.iter().map(|l| Matrix::zeros(l.height(), l.size(n))).collect(),
+                Matrix::zeros(n * layout.count(), n),
+            ),
             covariance: Matrix::zeros(n, n),
             x_std: vec![0.0; n],
             attack_std: vec![0.0; layout.weak],
@@ -38,10 +44,17 @@ impl Gains {
         }
     }
 
+    /// Note the transposes of gains and weights.
+    pub fn lay_out(&mut self) {
+        let (columns, weights) = &mut self.columns;
+        columns.iter_mut().zip(&self.j).for_each(|(columns, j)| columns.set_transpose(j));
+        weights.set_transpose(&self.weights);
+    }
+
     /// Bytes that one step takes.
     #[must_use]
     pub fn size(&self) -> usize {
-        let matrices = self.j.iter().chain([&self.weights, &self.covariance]);
+        let matrices = self.j.iter().chain(&self.j).chain([&self.weights, &self.weights, &self.covariance]);
         let vectors = self.x_std.len() + self.attack_std.len() + self.innovation_std.len();
         size_of::<f64>() * (matrices.map(|matrix| matrix.numbers().len()).sum::<usize>() + vectors)
     }

@@ -2,6 +2,7 @@
 
 use crate::joint_fusion::covariance::Design;
 use crate::joint_fusion::gains::Gains;
+use crate::kalman::model::add_product;
 use crate::linalg::{axpy, dot};
 use crate::{Output, Result};
 
@@ -18,6 +19,8 @@ pub struct Mean {
     /// ỹ of one local.
     surprise: Vec<f64>,
     next: Vec<f64>,
+    /// J ỹ of one local.
+    shift: Vec<f64>,
 }
 
 impl Mean {
@@ -36,6 +39,7 @@ impl Mean {
             base: vec![0.0; design.model.dims.channels],
             surprise: vec![0.0; tallest],
             next: vec![0.0; layout.n],
+            shift: vec![0.0; layout.locals.iter().map(|local| local.size(layout.n)).max().unwrap_or(0)],
         }
     }
 
@@ -70,7 +74,7 @@ impl Mean {
         out.attack.fill(f64::NAN);
         out.attack_std.fill(f64::NAN);
         let c = model.c(k);
-        for (local, j) in layout.locals.iter().zip(&gains.j) {
+        for (local, columns) in layout.locals.iter().zip(&gains.columns.0) {
             let own = &mut self.locals[local.state(n)];
             let surprise = &mut self.surprise[..local.height()];
             for (row, (value, &channel)) in surprise.iter_mut().zip(&local.channels).enumerate() {
@@ -81,13 +85,12 @@ impl Mean {
                 let given = bound.map_or(off, |&bound| off.clamp(-bound, bound)) - injected;
                 *value = if given.is_nan() { 0.0 } else { given.clamp(-LARGEST, LARGEST) };
             }
+            let shift = &mut self.shift[..own.len()];
+            shift.fill(0.0);
+            add_product(1.0, columns.numbers(), surprise, shift);
             let (estimates, inputs) = own.split_at_mut(n + local.weak);
-            for (a, value) in estimates.iter_mut().enumerate() {
-                *value += dot(j.row(a), surprise); // [x̂; θ̂] += K ỹ
-            }
-            for (q, value) in inputs.iter_mut().enumerate() {
-                *value -= dot(j.row(n + local.weak + q), surprise); // φ̂ += Γ ỹ
-            }
+            axpy(1.0, shift, estimates); // [x̂; θ̂] += K ỹ
+            axpy(-1.0, &shift[n + local.weak..], inputs); // φ̂ += Γ ỹ
             for (q, &channel) in local.channels[..local.weak].iter().enumerate() {
                 if !y[channel].is_nan() {
                     out.attack[channel] = estimates[n + q];
@@ -107,9 +110,8 @@ impl Mean {
             let own = &self.locals[local.state(n)][..n];
             let lead = &self.locals[first.state(n)][..n];
             self.next.iter_mut().zip(own.iter().zip(lead)).for_each(|(d, (own, lead))| *d = own - lead);
-            for (a, x) in out.x.iter_mut().enumerate() {
-                *x += dot(&gains.weights.row(a)[(i + 1) * n..(i + 2) * n], &self.next);
-            }
+            let columns = &gains.columns.1.numbers()[(i + 1) * n * n..(i + 2) * n * n];
+            add_product(1.0, columns, &self.next, out.x);
         }
         out.x_std.copy_from_slice(&gains.x_std);
         if let Some(covariance) = out.covariance.as_deref_mut() {

@@ -203,7 +203,11 @@ impl JointFusion {
         let together = self.beside.as_ref().zip(beside.as_mut());
         let known = together.is_some();
         if let Some((filter, state)) = together {
-            filter.step(state, y, u, &mut alone.output())?;
+            let mut told = alone.output();
+            if !gains.broken {
+                told.covariance = None;
+            }
+            filter.step(state, y, u, &mut told)?;
         }
         mean.correct(&self.design, (gains, memory.reach()), k, (y, u), out);
         let counted = match memory {
@@ -213,7 +217,7 @@ impl JointFusion {
         out.diagnostics[4] = counted as f64;
         let broken = gains.broken || out.x.iter().any(|value| !value.is_finite());
         if broken {
-            fall_back(known.then_some(&*alone), mean.predicted(), out);
+            fall_back(known.then_some(&*alone), gains.broken, mean.predicted(), out);
         }
         let mut heard = self.report(y, known.then_some(&*alone), out);
         if counted == 0 && matches!(memory, Memory::Auto(_)) {
@@ -298,14 +302,18 @@ impl JointFusion {
     }
 }
 
-/// The estimate of the protected sensors, or the prediction if there is none.
-fn fall_back(alone: Option<&Buffers>, predicted: &[f64], out: &mut Output<'_>) {
+/// The estimate of the protected sensors, or the prediction if there is none. `whole`: `alone` has its covariance, not
+/// only the deviations.
+fn fall_back(alone: Option<&Buffers>, whole: bool, predicted: &[f64], out: &mut Output<'_>) {
     match alone {
         Some(alone) => {
             out.x.copy_from_slice(&alone.x);
             out.x_std.copy_from_slice(&alone.x_std);
             if let Some(covariance) = out.covariance.as_deref_mut() {
-                covariance.copy_from_slice(&alone.covariance);
+                match whole {
+                    true => covariance.copy_from_slice(&alone.covariance),
+                    false => set_diagonal(covariance, alone.x_std.iter().map(|std| std * std)),
+                }
             }
             out.attack.copy_from_slice(&alone.attack);
             out.attack_std.copy_from_slice(&alone.attack_std);
@@ -314,14 +322,19 @@ fn fall_back(alone: Option<&Buffers>, predicted: &[f64], out: &mut Output<'_>) {
             out.x.copy_from_slice(predicted);
             out.x_std.fill(f64::INFINITY);
             if let Some(covariance) = out.covariance.as_deref_mut() {
-                covariance.fill(0.0);
-                let n = predicted.len();
-                (0..n).for_each(|i| covariance[i * n + i] = f64::INFINITY);
+                set_diagonal(covariance, predicted.iter().map(|_| f64::INFINITY));
             }
             out.attack.fill(f64::NAN);
             out.attack_std.fill(f64::NAN);
         }
     }
+}
+
+/// A diagonal matrix.
+fn set_diagonal(matrix: &mut [f64], diagonal: impl ExactSizeIterator<Item = f64>) {
+    let step = diagonal.len() + 1;
+    matrix.fill(0.0);
+    matrix.iter_mut().step_by(step).zip(diagonal).for_each(|(entry, value)| *entry = value);
 }
 
 impl Estimator for JointFusion {

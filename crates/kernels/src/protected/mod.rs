@@ -107,7 +107,11 @@ impl Estimator for Protected {
             self.filter.check_horizon(k)?;
             test.expect(&self.model, k, &filter.p.prior);
         }
-        self.filter.step(filter, heard, u, &mut inner.output())?;
+        let mut told = inner.output();
+        if !stale && out.covariance.is_none() {
+            told.covariance = None;
+        }
+        self.filter.step(filter, heard, u, &mut told)?;
         if stale {
             test.prepare(&self.model, k, &self.own, (heard, &inner.covariance));
             test.current = filter.p.cached;
