@@ -1,4 +1,4 @@
-"""JointFusion against our own Kalman filter and NumPy with stored gains; its cost by the number of sensors."""
+"""JointFusion against our Kalman filter and NumPy with stored gains; its cost by the number of sensors."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ from securestate.reporting.page import compact, table
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
 
-HEAD = ("State", "Deviation here", "Deviation beside", "Difference (RMS)", "Largest difference", "at sample")
+HEAD = ("State", "Deviation here", "Deviation beside", "Difference (RMS)", "Largest difference", "At sample")
 
 
 @dataclass(frozen=True)

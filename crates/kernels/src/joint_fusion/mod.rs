@@ -51,8 +51,8 @@ pub struct JointFusion {
     /// η of all injections, (Σ p_i,) or (T, Σ p_i).
     eta: Vec<f64>,
     choice: Choice,
-    /// Whether a sensor is one that others are stacked with, (N,).
-    stacked: Vec<bool>,
+    /// Channels of sensors that others are stacked with, in increasing order.
+    stacked: Vec<usize>,
     beside: Option<Protected>,
     /// Moments before the first measurement in steady state, if there are any.
     steady: Option<Covariance>,
@@ -104,11 +104,10 @@ impl JointFusion {
                 "printed",
             ));
         }
-        let mut stacked = vec![false; design.model.dims.sensors];
-        for local in &design.layout.locals {
-            let others = local.channels[local.weak..].iter();
-            others.for_each(|&channel| stacked[design.model.channel_sensor[channel]] = true);
-        }
+        let others = design.layout.locals.iter().flat_map(|local| &local.channels[local.weak..]);
+        let mut stacked: Vec<usize> = others.copied().collect();
+        stacked.sort_unstable();
+        stacked.dedup();
         let mut estimator = Self { design, eta, choice, stacked, beside, steady: None };
         if let Some(from) = from {
             Error::check_len("prior", estimator.design.q.len(), from.len())?;
@@ -207,18 +206,18 @@ impl JointFusion {
             if !gains.broken {
                 told.covariance = None;
             }
-            filter.step(state, y, u, &mut told)?;
+            filter.advance(state, y, u, &mut told)?;
         }
         mean.correct(&self.design, (gains, memory.reach()), k, (y, u), out);
+        let broken = gains.broken || out.x.iter().any(|value| !value.is_finite());
+        if broken {
+            fall_back(known.then_some(&*alone), gains.broken, mean.predicted(), out);
+        }
         let counted = match memory {
             Memory::Auto(told) => self.repeat(&told.1, out),
             _ => self.judge(y, known.then_some(&*alone), out),
         };
         out.diagnostics[4] = counted as f64;
-        let broken = gains.broken || out.x.iter().any(|value| !value.is_finite());
-        if broken {
-            fall_back(known.then_some(&*alone), gains.broken, mean.predicted(), out);
-        }
         let mut heard = self.report(y, known.then_some(&*alone), out);
         if counted == 0 && matches!(memory, Memory::Auto(_)) {
             heard = 0;
@@ -273,14 +272,15 @@ impl JointFusion {
             out.trust.copy_from_slice(&alone.trust);
             out.suspected.copy_from_slice(&alone.suspected);
         }
-        for local in &self.design.layout.locals {
-            for &channel in local.channels[local.weak..].iter().filter(|&&c| !y[c].is_nan()) {
-                out.trust[self.design.model.channel_sensor[channel]] = 1.0;
-                out.attack[channel] = 0.0;
-                out.attack_std[channel] = 0.0;
-            }
+        let (owner, mut count) = (&self.design.model.channel_sensor, 0);
+        for &channel in self.stacked.iter().filter(|&&channel| !y[channel].is_nan()) {
+            let sensor = owner[channel];
+            count += usize::from(out.trust[sensor].is_nan());
+            out.trust[sensor] = 1.0;
+            out.attack[channel] = 0.0;
+            out.attack_std[channel] = 0.0;
         }
-        out.trust.iter().zip(&self.stacked).filter(|(trust, stacked)| **stacked && !trust.is_nan()).count()
+        count
     }
 
     /// Diagnostics; returns how many channels of the locals arrived.

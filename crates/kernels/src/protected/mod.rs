@@ -67,6 +67,44 @@ impl Protected {
         }
     }
 
+    /// As [`Estimator::step`], without innovations, diagnostics and what is said about protected sensors.
+    ///
+    /// # Errors
+    /// As [`Estimator::step`].
+    pub fn advance(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
+        let State { filter, test, heard, inner, .. } = state;
+        let k = filter.k;
+        for (value, &channel) in heard.iter_mut().zip(&self.own) {
+            *value = y[channel];
+        }
+        let stale = !(filter.p.cached && test.current && heard.iter().all(|value| !value.is_nan()));
+        if stale {
+            self.filter.check_horizon(k)?;
+            test.expect(&self.model, k, &filter.p.prior);
+        }
+        let mut told = inner.output();
+        if !stale && out.covariance.is_none() {
+            told.covariance = None;
+        }
+        self.filter.step(filter, heard, u, &mut told)?;
+        if stale {
+            test.prepare(&self.model, k, &self.own, (heard, &inner.covariance));
+            test.current = filter.p.cached;
+        }
+        out.x.copy_from_slice(&inner.x);
+        out.x_std.copy_from_slice(&inner.x_std);
+        if let Some(covariance) = out.covariance.as_deref_mut() {
+            covariance.copy_from_slice(&inner.covariance);
+        }
+        *out.status = inner.status;
+        out.trust.fill(f64::NAN);
+        out.suspected.fill(0);
+        out.attack.fill(f64::NAN);
+        out.attack_std.fill(f64::NAN);
+        test.judge(&self.model, k, &self.own, (y, u), out);
+        Ok(())
+    }
+
     /// What to say about protected sensors: nothing can be injected there.
     fn report_own(&self, y: &[f64], out: &mut Output<'_>) {
         for &channel in &self.own {
@@ -96,41 +134,14 @@ impl Estimator for Protected {
     }
 
     fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
-        let State { filter, test, heard, before, inner } = state;
-        let k = filter.k;
-        for (value, &channel) in heard.iter_mut().zip(&self.own) {
-            *value = y[channel];
-        }
-        before.copy_from_slice(&filter.x);
-        let stale = !(filter.p.cached && test.current && heard.iter().all(|value| !value.is_nan()));
-        if stale {
-            self.filter.check_horizon(k)?;
-            test.expect(&self.model, k, &filter.p.prior);
-        }
-        let mut told = inner.output();
-        if !stale && out.covariance.is_none() {
-            told.covariance = None;
-        }
-        self.filter.step(filter, heard, u, &mut told)?;
-        if stale {
-            test.prepare(&self.model, k, &self.own, (heard, &inner.covariance));
-            test.current = filter.p.cached;
-        }
-        out.x.copy_from_slice(&inner.x);
-        out.x_std.copy_from_slice(&inner.x_std);
-        if let Some(covariance) = out.covariance.as_deref_mut() {
-            covariance.copy_from_slice(&inner.covariance);
-        }
+        state.before.copy_from_slice(&state.filter.x);
+        let k = state.filter.k;
+        self.advance(state, y, u, out)?;
+        let State { test, before, inner, .. } = state;
         out.diagnostics.copy_from_slice(&inner.diagnostics);
-        *out.status = inner.status;
         self.model.innovation(k, before, (y, u), out.innovation);
         out.innovation_std.copy_from_slice(&test.innovation_std);
-        out.trust.fill(f64::NAN);
-        out.suspected.fill(0);
-        out.attack.fill(f64::NAN);
-        out.attack_std.fill(f64::NAN);
         self.report_own(y, out);
-        test.judge(&self.model, k, &self.own, (y, u), out);
         Ok(())
     }
 
