@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from papers._report import Value
+from papers._setting import BaseSetting
 from securestate import Belief, Estimator, JointFusion, Plant, Run, Sensor, Status, simulate
 from securestate.attacks import Pulse, RandomNoise
 
@@ -32,23 +32,10 @@ class Record:
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Plant, configuration and record of one run of the program. `size` is "full" or "quick"."""
+class Setting(BaseSetting):
+    """Plant, configuration and record of one run of the program."""
 
-    size: str
-
-    @cached_property
-    def config(self) -> dict[str, Any]:
-        return tomllib.loads((FOLDER / "config.toml").read_text(encoding="utf-8"))
-
-    @cached_property
-    def scale(self) -> dict[str, int]:
-        """How many runs of what."""
-        return self.config[self.size]
-
-    @cached_property
-    def plant(self) -> Plant:
-        return Plant.load(FOLDER / "plant.toml")
+    folder = FOLDER
 
     @cached_property
     def unprotected(self) -> Plant:

@@ -2,40 +2,26 @@
 
 from __future__ import annotations
 
-import tomllib
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from papers._report import Value
-from securestate import Estimator, KalmanFilter, Plant, Run, SparseFusion, Status
+from papers._setting import BaseSetting
+from securestate import Estimator, KalmanFilter, Run, SparseFusion, Status
 
 Float = NDArray[np.float64]
 FOLDER = Path(__file__).parent
 
 
 @dataclass(frozen=True)
-class Setting:
-    """Plant, configuration and record of one run of the program. `size` is "full" or "quick"."""
+class Setting(BaseSetting):
+    """Plant, configuration and record of one run of the program."""
 
-    size: str
-
-    @cached_property
-    def config(self) -> dict[str, Any]:
-        return tomllib.loads((FOLDER / "config.toml").read_text(encoding="utf-8"))
-
-    @cached_property
-    def scale(self) -> dict[str, int]:
-        """How many runs, steps, draws and directions."""
-        return self.config[self.size]
-
-    @cached_property
-    def plant(self) -> Plant:
-        return Plant.load(FOLDER / "plant.toml")
+    folder = FOLDER
 
     @cached_property
     def kalman(self) -> KalmanFilter:
