@@ -3,6 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from securestate import Plant, Sensor
 from securestate.errors import InputError
 from securestate.estimators.run import Run
 from securestate.reporting import summarise
@@ -27,6 +28,21 @@ def test_a_majority_is_a_matter_of_the_plant_and_not_of_liars() -> None:
     assert verdict.startswith(
         "3 of 5 sensors contradict the plant, too many to blame them: check its matrices"
     )
+
+
+def test_protected_sensors_may_convict_a_majority() -> None:
+    run = made_run(liars=(0, 1, 2))
+    marked = [replace_protected(sensor, i > 2) for i, sensor in enumerate(run.plant.sensors)]
+    plant = Plant(run.plant.A, run.plant.Q, marked)
+    judged = summarise(replace(run, plant=plant, estimator="AdaptiveJointFilter")).verdict
+    assert judged.startswith("3 of 5 sensors lie")
+    assert "contradict" in summarise(replace(run, plant=plant, estimator="SparseFusion")).verdict
+    nobody = Plant(plant.A, plant.Q, [replace_protected(sensor, False) for sensor in plant.sensors])
+    assert "contradict" in summarise(replace(run, plant=nobody, estimator="AdaptiveJointFilter")).verdict
+
+
+def replace_protected(sensor: Sensor, protected: bool) -> Sensor:
+    return Sensor(sensor.name, C=sensor.C, R=sensor.R, protected=protected, channels=sensor.channels)
 
 
 def test_a_filter_that_trusts_everybody_says_so() -> None:

@@ -73,6 +73,9 @@ def _modes(plant: Plant) -> list[str]:
 
 def _seats(plant: Plant) -> str:
     seats = (plant.n_sensors - 1) // 2
+    if 0 < plant.protected.sum() < plant.n_sensors:
+        judges = f"{plant.protected.sum()} of {plant.n_sensors} sensors are protected"
+        return f"{judges}: some methods judge the others by them; without, at most {seats} can be outvoted."
     if not seats:
         return "Too few sensors: when one lies, the others cannot outvote it."
     return f"At most {seats} of {plant.n_sensors} sensors can be outvoted, fewer where few see the same mode."

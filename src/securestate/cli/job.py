@@ -52,12 +52,14 @@ def run_order(order: Order) -> Exit:
         allow_missing=order.allow_missing,
         hold_inputs=order.hold_inputs,
     )
-    estimator = design(plant, order.method, order.choices)
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always", SecurestateWarning)
+        estimator = design(plant, order.method, order.choices)
     other = estimator.beside if estimator.beside and not estimator.beside.no_steady_state else None
     with console.progress(len(data.y) * (1 if other is None else 2), quiet=order.quiet) as advance:
         run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
         beside = None if other is None else run_in_blocks(other, data, covariance=False, advance=advance)
-    said = remarks(data, estimator)
+    said = [*(_sentence(str(one.message)) for one in warned), *remarks(data, estimator)]
     written = _write(run, beside, said, order)
     summary = summarise(run)
     if not order.quiet:
@@ -105,6 +107,10 @@ def remarks(data: Measurements, estimator: Estimator) -> list[str]:
     if data.extra:
         said.append(f"{_count(len(data.extra), 'column')} not used: {', '.join(data.extra)}.")
     return said
+
+
+def _sentence(text: str) -> str:
+    return f"{text[:1].upper()}{text[1:]}."
 
 
 def _count(number: int, thing: str) -> str:

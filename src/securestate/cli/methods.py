@@ -18,7 +18,7 @@ def design(plant: Plant, name: str, choices: Mapping[str, object]) -> Estimator:
     """
     estimator = METHODS[name].design(plant, **choices)
     if estimator.no_steady_state:
-        reason = f"the Kalman filter has no steady state to start from: {estimator.no_steady_state}"
+        reason = f"{estimator.name} has no steady state to start from: {estimator.no_steady_state}"
         advice = f"or run it from Python with a prior: {estimator.name}(plant).run(y, u, prior)"
         raise DesignError(reason, advice)
     return estimator

@@ -18,6 +18,7 @@ from securestate import _checks as check
 from securestate import _kernels
 from securestate.errors import DesignError, InputError
 from securestate.estimators._detectors import checked_rate, quantiles
+from securestate.estimators._protected import warn_of_hidden_modes, warn_of_small
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
 from securestate.plant import Plant, Sensor
 from securestate.resilience.detectability import mode_along, undetectable_modes
@@ -69,6 +70,9 @@ class Augmented:
         self.plant = augmented_plant(plant, self.weak, increment)
         if not plant.time_varying:
             _refuse_hidden(plant, self.plant)
+            warn_of_hidden_modes(plant, stacklevel=4)
+        size = np.maximum(increment, before)
+        warn_of_small(plant, "attack_noise", self.weak, size, "give a larger one")
         self.steady, self.no_steady_state = steady_or_reason(self.plant)
 
     def variances(self, argument: str, value: PerSensor, *, positive: bool = False) -> Float:

@@ -20,10 +20,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import _kernels
-from securestate._checks import real_array, whole_number
+from securestate._checks import real_array
 from securestate._steady_state import EDGE
 from securestate.errors import DesignError, InputError, SecurestateWarning, ShapeError
-from securestate.estimators.adaptive_joint import LONGEST
 from securestate.plant import Plant
 from securestate.resilience.detectability import Mode, undetectable_modes
 
@@ -106,9 +105,11 @@ def _named(plant: Plant, pairing: object) -> dict[int, tuple[int, ...]]:
     for name, others in pairing.items():
         if name not in weak:
             raise InputError("pairing", f"sensors that are not protected ({', '.join(weak)})", repr(name))
+        if not isinstance(others, str | list | tuple):
+            raise InputError(f"pairing[{name!r}]", "a list of names of protected sensors", repr(others))
         partners = [others] if isinstance(others, str) else list(others)
         for partner in partners:
-            if partner not in strong:
+            if not isinstance(partner, str) or partner not in strong:
                 expected = f"protected sensors ({', '.join(strong)})"
                 raise InputError(f"pairing[{name!r}]", expected, repr(partner))
         if not partners or len(set(partners)) < len(partners):
@@ -154,20 +155,6 @@ def large_injections(plant: Plant, locals_: Sequence[Local]) -> Float:
     """Variances that no noise reaches, (1, p): the closed loop of an adaptive eta is judged by them."""
     channels = [channel for local in locals_ for channel in local.weak_channels]
     return np.ascontiguousarray(LARGE * np.diag(plant.R)[np.newaxis, channels])
-
-
-def adaptation(window: object, gate: object) -> tuple[int, float]:
-    """Window and gate of an adaptive eta.
-
-    Raises:
-        InputError: not a whole number from 1 to 10000, or not a number >= 0.
-    """
-    length = whole_number("window", window, 1, InputError)
-    if length > LONGEST:
-        raise InputError("window", f"a whole number up to {LONGEST}", str(length))
-    if isinstance(gate, bool) or not isinstance(gate, Real) or not float(gate) >= 0:
-        raise InputError("gate", "a number >= 0", repr(gate))
-    return length, float(gate)
 
 
 def _by_name(names: Sequence[str], eta: Mapping[str, Any]) -> Float:
@@ -226,7 +213,7 @@ def check_stability(plant: Plant, locals_: Sequence[Local], eta: Float, form: st
         stop = start + len(local.weak_channels)
         radius = closed_loop_radius(plant, local, eta[:, start:stop], form, prior)
         start = stop
-        if radius >= 1.0:
+        if radius > 1.0 + EDGE:
             raise DesignError(
                 f"the local estimator of sensor {plant.sensor_names[local.sensor]!r} is unstable: its gains "
                 f"are optimal one step ahead, but its error grows by {radius:.6g} per sample",

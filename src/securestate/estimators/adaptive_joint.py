@@ -7,22 +7,19 @@ given those of the protected sensors. Nothing is assumed about how a lie moves i
 
 from __future__ import annotations
 
-import warnings
 from numbers import Real
 from typing import final
-
-import numpy as np
 
 from securestate import _kernels
 from securestate._checks import whole_number
 from securestate._steady_state import SteadyState
-from securestate.errors import DesignError, InputError, SecurestateWarning
+from securestate.errors import DesignError, InputError
 from securestate.estimators import _detectors
+from securestate.estimators._protected import warn_of_hidden_modes
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
 from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.plant import Plant
-from securestate.resilience import undetectable_modes
 
 #: Longest window: every channel keeps as many numbers.
 LONGEST = 10_000
@@ -100,8 +97,8 @@ class AdaptiveJointFilter(Estimator):
         self.steady, self.no_steady_state = steady_or_reason(plant)
         _require_protected(plant)
         settings = {
-            "window": _checked_window(window),
-            "gate": _checked_gate(gate),
+            "window": checked_window(window),
+            "gate": checked_gate(gate),
             "false_alarm_rate": _detectors.checked_rate(false_alarm_rate),
         }
         kernel = _kernels.adaptive_joint(
@@ -111,7 +108,7 @@ class AdaptiveJointFilter(Estimator):
             gate=float(gate),
             quantiles=_detectors.quantiles(plant.m, false_alarm_rate),
         )
-        _warn_of_hidden_modes(plant)
+        warn_of_hidden_modes(plant)
         self.beside = ProtectedKalman(plant, false_alarm_rate=false_alarm_rate)
         super().__init__(plant, kernel, settings)
 
@@ -124,27 +121,24 @@ def _require_protected(plant: Plant) -> None:
         )
 
 
-def _warn_of_hidden_modes(plant: Plant) -> None:
-    """Warn of what the protected sensors leave undetectable."""
-    if plant.time_varying or plant.protected.all():
-        return
-    hidden = undetectable_modes(plant.select(np.flatnonzero(plant.protected).tolist()))
-    if hidden:
-        named = ", ".join(map(str, hidden))
-        message = f"the protected sensors do not see {named}: a lie of the others that moves along it is"
-        warnings.warn(
-            f"{message} invisible, and so is its effect on the state", SecurestateWarning, stacklevel=3
-        )
+def checked_window(value: object) -> int:
+    """A window as a number of samples.
 
-
-def _checked_window(value: object) -> int:
+    Raises:
+        InputError: it is no whole number from 1 to `LONGEST`.
+    """
     window = whole_number("window", value, 1, InputError)
     if window > LONGEST:
         raise InputError("window", f"a whole number up to {LONGEST}", str(window))
     return window
 
 
-def _checked_gate(value: object) -> float:
+def checked_gate(value: object) -> float:
+    """A gate as a number.
+
+    Raises:
+        InputError: it is no number > 0.
+    """
     if isinstance(value, bool) or not isinstance(value, Real) or not float(value) > 0:
         raise InputError("gate", "a number > 0; math.inf for none", repr(value))
     return float(value)

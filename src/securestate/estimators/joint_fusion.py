@@ -35,6 +35,8 @@ from securestate.errors import InputError, ShapeError
 from securestate.estimators import _joint_design as design
 from securestate.estimators._detectors import Arguments, arguments, checked_rate, quantiles
 from securestate.estimators._joint_design import Local, Pairing
+from securestate.estimators._protected import warn_of_small
+from securestate.estimators.adaptive_joint import checked_gate, checked_window
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import steady_or_reason
 from securestate.estimators.protected_kalman import ProtectedKalman, protected_alone
@@ -87,7 +89,7 @@ class JointFusion(Estimator):
             the innovations of every local, by `window` and `gate` as `AdaptiveJointFilter` does.
         form: "exact" or "printed"; see the module.
         pairing: which protected sensors each sensor that may lie is stacked with, by name; default all.
-            Sensors that are not in it are not used.
+            Sensors that are not in it are not used, only judged.
         protected: "marked", those that the plant marks; or "auto" (Remark 2), those that `detector` trusts at
             this sample, and the marked ones. Every sensor that is not marked then has a local, stacked with
             all trusted others; a trusted sensor has eta = 0. If nobody is trusted nothing is used.
@@ -161,6 +163,7 @@ class JointFusion(Estimator):
     ) -> None:
         self._steady, self._why = steady_or_reason(plant)
         rate = checked_rate(false_alarm_rate)
+        samples, at_once = checked_window(window), checked_gate(gate)
         adapts = isinstance(eta, str)
         _check_settings(eta, form, protected, detector, fusion, pairing)
         self._arithmetic, self._fusion = _arithmetic(form, square_root), fusion
@@ -169,9 +172,11 @@ class JointFusion(Estimator):
         self._eta = design.injection_variances(plant, self.locals, 0.0 if adapts else eta)
         self._varies = plant.time_varying or len(self._eta) > 1
         design.check_conditions(plant, self.locals)
+        weak = np.array([channel for local in self.locals for channel in local.weak_channels])
+        warn_of_small(plant, "eta", weak, self._eta.max(axis=0), 'give a larger one, or eta="adaptive"')
         kernel, self.beside, self.no_steady_state = self._kernel(
             plant,
-            (design.adaptation(window, gate) if adapts else None),
+            ((samples, at_once) if adapts else None),
             (_detector(plant, self._steady, detector, rate) if auto else None),
             rate,
         )
@@ -183,8 +188,8 @@ class JointFusion(Estimator):
             "detector": detector,
             "fusion": fusion,
             "square_root": self._arithmetic == "square-root",
-            "window": window,
-            "gate": gate,
+            "window": samples,
+            "gate": at_once,
             "false_alarm_rate": rate,
         }
         super().__init__(plant, kernel, settings)
@@ -256,8 +261,8 @@ def _check_settings(
     one_of("fusion", fusion, FUSIONS)
     one_of("protected", protected, ("marked", "auto"))
     one_of("detector", detector, ("gate", "chi-square"))
-    if isinstance(eta, str):
-        one_of("eta", eta, ("adaptive",))
+    if isinstance(eta, str) and eta != "adaptive":
+        raise InputError("eta", 'a variance, one per sensor that may lie, or "adaptive"', repr(eta))
     if form == "printed" and (isinstance(eta, str) or protected == "auto"):
         raise InputError("form", '"exact" where eta or the protected sensors come from the data', repr(form))
     if protected == "auto" and pairing is not None:
@@ -295,7 +300,7 @@ def one_of(name: str, value: object, choices: tuple[str, ...]) -> None:
     Raises:
         InputError: it is not.
     """
-    if value not in choices:
+    if not isinstance(value, str) or value not in choices:
         raise InputError(name, " or ".join(f'"{choice}"' for choice in choices), repr(value))
 
 
@@ -305,7 +310,10 @@ def _reason(eta: Float, reason: str, *, settles: bool) -> str:
         return ""
     if len(eta) > 1:
         return "eta varies in time, so there is no steady state; give a prior with a covariance P"
-    return reason or "the moments of this plant do not settle; give a prior with a covariance P"
+    return reason or (
+        "its moments do not settle, as when eta is far below the noise of a sensor; give "
+        "a larger eta, or a prior with a covariance P"
+    )
 
 
 def _plain(eta: object) -> object:

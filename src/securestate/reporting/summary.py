@@ -22,6 +22,10 @@ NAMED = 8
 """At most so many liars are named in the verdict; the others are counted."""
 
 
+BY_PROTECTED = ("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman", "JointFusion", "ProtectedKalman")
+"""Estimators in which protected sensors judge the others, so that a majority of these may lie."""
+
+
 @dataclass(frozen=True)
 class Moment:
     """One sample of a run: its index, and its time if the run has times (seconds or datetime64)."""
@@ -104,7 +108,8 @@ class Summary:
     def verdict_with(self, mark: Callable[[str], str]) -> str:
         """The verdict with every name in it as `mark` gives it, for instance as HTML."""
         liars = self.liars
-        if 2 * len(liars) >= len(self.sensors) > 1:
+        outvoted = not (self.estimator in BY_PROTECTED and any(s.protected for s in self.sensors))
+        if outvoted and 2 * len(liars) >= len(self.sensors) > 1:
             return (
                 f"{len(liars)} of {len(self.sensors)} sensors contradict the plant, too many to blame them: "
                 "check its matrices, units and inputs, and whether the state starts at the operating point."

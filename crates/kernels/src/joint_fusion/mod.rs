@@ -39,7 +39,8 @@ pub use crate::joint_fusion::trace::Trace;
 use crate::protected::{self, Protected};
 use crate::{Dims, Error, Estimator, Output, Result, Status};
 
-/// Samples after which the search for a steady state gives up.
+/// Samples after which the search for a steady state gives up; the printed recursions get four times as many, because
+/// their second moments settle more slowly than their gains.
 const SEARCH: usize = 5000;
 
 /// Largest share of memory for gains that runs of a batch share, bytes.
@@ -166,7 +167,8 @@ impl JointFusion {
             Choice::Fixed => self.eta.clone(),
             _ => vec![0.0; self.design.layout.weak],
         };
-        self.design.settle(from, &eta, SEARCH)
+        let limit = if self.design.form == Form::Printed { 4 * SEARCH } else { SEARCH };
+        self.design.settle(from, &eta, limit)
     }
 
     /// Which rows of the locals arrived, and η as given.

@@ -21,6 +21,9 @@ use crate::kalman::model::Model;
 use crate::linalg::{axpy, cholesky, cholesky_solve};
 use crate::matrix::Matrix;
 
+/// Rounding of one step, in units of the largest number; these recursions subtract more than those of Joseph.
+const ROUNDING: f64 = 1024.0;
+
 /// P^X, P^φ, U, V of one local, with Γ C Φ and K^a Φ of the last sample.
 #[derive(Debug, Clone)]
 pub struct Own {
@@ -281,7 +284,7 @@ impl Printed {
     pub fn repeats(&self) -> bool {
         let same = |a: &Matrix, b: &Matrix| {
             let largest = a.numbers().iter().fold(0.0, |size: f64, value| size.max(value.abs()));
-            let tolerance = 32.0 * f64::EPSILON * largest;
+            let tolerance = ROUNDING * f64::EPSILON * largest;
             a.numbers().iter().zip(b.numbers()).all(|(a, b)| (a - b).abs() <= tolerance)
         };
         let own = self.own.iter().zip(&self.before.0);
