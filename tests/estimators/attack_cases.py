@@ -10,24 +10,11 @@ from scipy.linalg import block_diag
 
 from securestate import Belief, Estimator, Plant, Run, Sensor
 from tests.estimators.kalman_cases import Array, random_plant
+from tests.estimators.run_arrays import RUN_ARRAYS
 from tests.reference.attack_as_state import System, Textbook
 
 ROOT = Path(__file__).parents[2]
 PUBLISHED = json.loads((ROOT / "tests/cases/attack-as-state/four_bus.json").read_text())
-
-#: Everything in a run that is an array.
-ARRAYS = (
-    "x",
-    "x_std",
-    "P",
-    "trust",
-    "suspected",
-    "attack",
-    "attack_std",
-    "innovation",
-    "innovation_std",
-    "status",
-)
 
 
 def weak_plant(seed: int, **options: Any) -> Plant:
@@ -118,7 +105,7 @@ def assert_batch_is_loop_and_resumes(estimator: Estimator, prior: Belief | None,
             parts.append(live.step(y[k], u[k]))
             if k % 11 == 0:
                 live = estimator.resume(live.save())
-        for quantity in ARRAYS:
+        for quantity in RUN_ARRAYS:
             mine = getattr(batch, quantity)[r]
             np.testing.assert_array_equal(mine, getattr(estimator.run(y, u, prior), quantity))
             np.testing.assert_array_equal(mine, [getattr(e, quantity) for e in parts])

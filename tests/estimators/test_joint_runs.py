@@ -15,6 +15,7 @@ from tests.estimators.joint_cases import (
     random_plant,
     some_prior,
 )
+from tests.estimators.run_arrays import RUN_ARRAYS
 
 VARIANTS: dict[str, dict[str, Any]] = {
     "exact": {},
@@ -27,18 +28,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "average": {"fusion": "average"},
     "covariance-intersection": {"fusion": "covariance-intersection"},
 }
-QUANTITIES = (
-    "x",
-    "x_std",
-    "P",
-    "trust",
-    "suspected",
-    "attack",
-    "attack_std",
-    "innovation",
-    "innovation_std",
-    "status",
-)
 
 
 def variant(name: str, seed: int = 3) -> JointFusion:
@@ -58,7 +47,7 @@ def test_live_steps_equal_the_run_and_a_saved_state_continues_to_the_bit(name: s
             parts.append(live.step(y[k], u[k]))
             if k % 37 == 0 or 145 < k < 160:
                 live = fusion.resume(live.save())
-        for quantity in QUANTITIES:
+        for quantity in RUN_ARRAYS:
             steps = [getattr(estimate, quantity) for estimate in parts]
             np.testing.assert_array_equal(steps, getattr(whole, quantity), err_msg=quantity)
         for diagnostic, values in whole.diagnostics.items():
@@ -77,7 +66,7 @@ def test_batch_equals_loop_to_the_bit(name: str, gaps: str) -> None:
         batch = fusion.run(y, u, prior)
         for run in range(3):
             single = fusion.run(y[run], u[run], prior)
-            for quantity in QUANTITIES:
+            for quantity in RUN_ARRAYS:
                 np.testing.assert_array_equal(getattr(batch, quantity)[run], getattr(single, quantity))
             for diagnostic, values in batch.diagnostics.items():
                 np.testing.assert_array_equal(values[run], single.diagnostics[diagnostic])
@@ -91,7 +80,7 @@ def test_a_batch_in_blocks_equals_it_in_one(name: str) -> None:
     y[:, 130:133, 2] = np.nan
     whole, bank = fusion.run(y, u), fusion.start(runs=2)
     blocks = [bank.run(y[:, a : a + 65], u[a : a + 65]) for a in range(0, 260, 65)]
-    for quantity in QUANTITIES:
+    for quantity in RUN_ARRAYS:
         joined = np.concatenate([getattr(block, quantity) for block in blocks], axis=1)
         np.testing.assert_array_equal(joined, getattr(whole, quantity), err_msg=quantity)
 

@@ -56,6 +56,14 @@ impl Matrix {
         matrix
     }
 
+    /// Zeros but for `p` (n, n) in the upper left corner.
+    #[must_use]
+    pub fn corner(rows: usize, columns: usize, n: usize, p: &[f64]) -> Self {
+        let mut matrix = Self::zeros(rows, columns);
+        (0..n).for_each(|a| matrix.row_mut(a)[..n].copy_from_slice(&p[a * n..(a + 1) * n]));
+        matrix
+    }
+
     /// Number of rows.
     #[must_use]
     pub fn rows(&self) -> usize {

@@ -50,10 +50,8 @@ impl Exact {
     pub fn new(layout: &Layout, p: &[f64]) -> Self {
         let (n, locals) = (layout.n, &layout.locals);
         let size = |i: usize| locals[i].size(n);
-        let mut prior: Vec<Matrix> = layout.pairs().map(|(i, j)| Matrix::zeros(size(i), size(j))).collect();
-        for matrix in &mut prior {
-            (0..n).for_each(|a| matrix.row_mut(a)[..n].copy_from_slice(&p[a * n..(a + 1) * n]));
-        }
+        let start = |(i, j)| Matrix::corner(size(i), size(j), n, p);
+        let prior: Vec<Matrix> = layout.pairs().map(start).collect();
         let theta: Vec<Matrix> = locals.iter().map(|l| Matrix::zeros(l.weak, l.size(n))).collect();
         let widest = locals.iter().map(|l| l.size(n).max(l.height())).max().unwrap_or(0);
         Self {

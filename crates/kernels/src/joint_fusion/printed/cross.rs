@@ -1,7 +1,7 @@
 //! Theorem 2: the moments between two local estimators.
 
 use crate::joint_fusion::printed::Own;
-use crate::joint_fusion::printed::parts::{Moved, Work, augmented, corner, sandwich, shifted};
+use crate::joint_fusion::printed::parts::{Moved, Work, augmented, sandwich, shifted};
 use crate::matrix::Matrix;
 
 /// P^X, P^φ, U, Y, V of two locals, both ways where they are not transposes.
@@ -50,7 +50,7 @@ impl Cross {
     #[must_use]
     pub fn new(n: usize, (a, b): (usize, usize), p: &[f64]) -> Self {
         Self {
-            px: corner(n, n + a, n + b, p),
+            px: Matrix::corner(n + a, n + b, n, p),
             pf: Matrix::zeros(a, b),
             u: [Matrix::zeros(n + a, b), Matrix::zeros(n + b, a)],
             y: [Matrix::zeros(a, b), Matrix::zeros(b, a)],

@@ -14,7 +14,7 @@ use crate::joint_fusion::gains::Gains;
 use crate::joint_fusion::layout::{Layout, Local, Pattern};
 use crate::joint_fusion::printed::cross::{Cross, Step};
 use crate::joint_fusion::printed::parts::{
-    Moved, Work, augmented, corner, keep_columns, sandwich, scale_columns, shifted,
+    Moved, Work, augmented, keep_columns, sandwich, scale_columns, shifted,
 };
 use crate::joint_fusion::semidefinite::Semidefinite;
 use crate::kalman::model::Model;
@@ -61,7 +61,7 @@ impl Own {
     fn new(n: usize, local: &Local, p: &[f64], eta: &[f64]) -> Self {
         let (size, w) = (n + local.weak, local.weak);
         let (mut px, mut pf, mut kaf) =
-            (corner(n, size, size, p), Matrix::zeros(w, w), Matrix::zeros(size, w));
+            (Matrix::corner(size, size, n, p), Matrix::zeros(w, w), Matrix::zeros(size, w));
         for q in 0..w {
             px[(n + q, n + q)] = eta[local.first_weak + q];
             pf[(q, q)] = 2.0 * eta[local.first_weak + q];

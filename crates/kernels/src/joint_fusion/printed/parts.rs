@@ -47,13 +47,6 @@ impl Work {
     }
 }
 
-/// Zeros but for `p` (n, n) in the upper left corner.
-pub fn corner(n: usize, rows: usize, columns: usize, p: &[f64]) -> Matrix {
-    let mut matrix = Matrix::zeros(rows, columns);
-    (0..n).for_each(|a| matrix.row_mut(a)[..n].copy_from_slice(&p[a * n..(a + 1) * n]));
-    matrix
-}
-
 /// `out` = some columns.
 pub fn keep_columns(m: &Matrix, columns: Range<usize>, out: &mut Matrix) {
     out.shape(m.rows(), columns.len());
