@@ -31,6 +31,12 @@ pub enum Status {
     IllConditioned = 3,
     /// The method's own recursion has broken down; what is reported comes from a safer one.
     BrokenDown = 4,
+    /// Two ways to say who lies explain the sample about equally well and disagree on x; P includes both.
+    Ambiguous = 5,
+    /// More sensors are suspected than a minority: those that are believed may be the liars.
+    MajoritySuspect = 6,
+    /// No prior was given: the estimate comes from the window of the first samples.
+    ColdStart = 7,
 }
 
 /// Where a step writes its results. Units are those of the normalised plant; the driver converts.

@@ -31,6 +31,9 @@ class Status(IntEnum):
     NOT_CONVERGED = 2
     ILL_CONDITIONED = 3
     BROKEN_DOWN = 4
+    AMBIGUOUS = 5
+    MAJORITY_SUSPECT = 6
+    COLD_START = 7
 
     @property
     def advice(self) -> str:
@@ -47,6 +50,15 @@ _ADVICE = {
     Status.ILL_CONDITIONED: "The sensors that are left do not determine the state; the estimate is a guess.",
     Status.BROKEN_DOWN: (
         "The method's own recursion broke down; this sample shows the safer filter that its page names."
+    ),
+    Status.AMBIGUOUS: (
+        "Two ways to say who lies explain the sample about equally well; P includes both."
+    ),
+    Status.MAJORITY_SUSPECT: (
+        "More than half of the sensors are suspected: those that are believed may be the liars."
+    ),
+    Status.COLD_START: (
+        "No prior was given; the estimate is that of the window of the first samples, later ones included."
     ),
 }
 

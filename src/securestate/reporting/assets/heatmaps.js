@@ -112,8 +112,10 @@ function surpriseChart({ ratio }, width, view, clock) {
 function statusChart({ status }, width, view, clock) {
   const starts = bins(view.from, view.to, most(width)), period = periods(clock, starts);
   const worst = extremes(status.column(0), starts, (a, b) => a > b).map((code) => Math.round(status.value(0, code)));
-  const names = ["OK", "NO_MEASUREMENT", "NOT_CONVERGED", "ILL_CONDITIONED", "BROKEN_DOWN"];
-  const colours = [css("calm"), css("missing"), css("over"), css("purple"), css("red")], n = colours.length;
+  const names = ["OK", "NO_MEASUREMENT", "NOT_CONVERGED", "ILL_CONDITIONED", "BROKEN_DOWN", "AMBIGUOUS", "MAJORITY_SUSPECT",
+    "COLD_START"];
+  const colours = [css("calm"), css("missing"), css("over"), css("purple"), css("red"), css("bound"), css("far"),
+    css("accent")], n = colours.length;
   const scale = colours.flatMap((colour, i) => [[i / n, colour], [(i + 0.9999) / n, colour]]).concat([[1, colours[n - 1]]]);
   const hover = worst.map((code, b) => `${period[b]}<br>${names[code]}`);
   return heatmap(width, view, clock, starts, [{ name: "status" }], [worst], [hover], scale, [-0.5, n - 0.5]);
