@@ -12,6 +12,7 @@ mod filter;
 mod joint_fusion;
 mod kalman;
 mod kernel;
+mod mixture_fusion;
 mod plant;
 mod simulation;
 mod sparse_fusion;
@@ -35,6 +36,8 @@ mod _kernels {
     use super::kalman::kalman;
     #[pymodule_export]
     use super::kernel::Kernel;
+    #[pymodule_export]
+    use super::mixture_fusion::mixture_fusion;
     #[pymodule_export]
     use super::simulation::simulate;
     #[pymodule_export]

@@ -16,6 +16,7 @@ pub mod lanes;
 pub mod lasso;
 pub mod linalg;
 pub mod matrix;
+pub mod mixture_fusion;
 pub mod penalty;
 pub mod projection;
 pub mod protected;
