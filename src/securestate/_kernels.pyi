@@ -21,6 +21,7 @@ __all__ = [
     "joint_fusion",
     "joint_moments",
     "kalman",
+    "mixture_fusion",
     "protected_kalman",
     "simulate",
     "sparse_fusion",
@@ -157,3 +158,16 @@ def joint_moments(
     prior: _Float,
     heard: NDArray[np.bool_],
 ) -> dict[str, Any]: ...
+def mixture_fusion(
+    plant: Plant,
+    prior: _Float | None,
+    local: _Float | None,
+    *,
+    epsilon: float | None,
+    literal: bool,
+    start: int,
+    init: str,
+    precise: bool,
+    prior_floor: bool,
+    cap: int,
+) -> Kernel: ...

@@ -13,6 +13,7 @@ mod joint_fusion;
 mod kalman;
 mod kernel;
 mod mixture;
+mod mixture_fusion;
 mod plant;
 mod simulation;
 mod sparse_fusion;
@@ -38,6 +39,7 @@ mod _kernels {
     use super::kernel::Kernel;
     #[pymodule_export]
     use super::mixture::innovation_mixture;
+    use super::mixture_fusion::mixture_fusion;
     #[pymodule_export]
     use super::simulation::simulate;
     #[pymodule_export]

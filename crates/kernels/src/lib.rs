@@ -18,6 +18,7 @@ pub mod lasso;
 pub mod linalg;
 pub mod matrix;
 pub mod mixture;
+pub mod mixture_fusion;
 pub mod penalty;
 pub mod projection;
 pub mod protected;

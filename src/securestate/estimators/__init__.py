@@ -10,6 +10,7 @@ from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.innovation_mixture import InnovationMixture
 from securestate.estimators.joint_fusion import JointFusion, JointMoments
 from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.mixture_fusion import MixtureFusion
 from securestate.estimators.oracle import OracleFilter
 from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.registry import METHODS, Method
@@ -31,6 +32,7 @@ __all__ = [
     "JointMoments",
     "KalmanFilter",
     "Method",
+    "MixtureFusion",
     "OracleFilter",
     "ProtectedKalman",
     "Run",

@@ -17,6 +17,7 @@ from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.innovation_mixture import InnovationMixture
 from securestate.estimators.joint_fusion import JointFusion
 from securestate.estimators.kalman import KalmanFilter
+from securestate.estimators.mixture_fusion import MixtureFusion
 from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.sparse_fusion import SparseFusion
 
@@ -58,6 +59,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
             JointFusion, "estimates injections with the state, by protected sensors", "protected"
         ),
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
+        "mixture": Method(MixtureFusion, "clusters what every sensor alone says of the state"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
         "augmented": Method(AugmentedKalman, "takes attacks on sensors that are not protected for states"),

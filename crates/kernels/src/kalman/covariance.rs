@@ -90,13 +90,23 @@ impl Recursion {
         if repeats && p.cached {
             return;
         }
+        self.listen(p, k, y);
         p.cached = repeats;
+        p.work.copy_from(&p.prior);
+        p.gains.correct_covariance(&self.model, k, &mut p.work, &mut p.scratch, keep || repeats);
+    }
+
+    /// What [`Recursion::correct`] begins with: the gains hear the channels of y that are not NaN, if they do not yet.
+    pub fn listen(&self, p: &mut Covariance, k: usize, y: &[f64]) {
+        let all = y.iter().all(|value| !value.is_nan());
+        if all && p.settled && p.cached {
+            return;
+        }
+        p.cached = false;
         match &self.full {
             Some(full) if all => p.gains.listen_to_all(full),
             _ => p.gains.listen(&self.model, k, y),
         }
-        p.work.copy_from(&p.prior);
-        p.gains.correct_covariance(&self.model, k, &mut p.work, &mut p.scratch, keep || repeats);
     }
 
     /// From the latest correction of sample k to P[k+1|k].
@@ -142,6 +152,15 @@ impl Covariance {
     /// Last part: P[k|k] is complete.
     pub fn conclude(&mut self, keep: bool) {
         self.gains.conclude(&self.work, keep);
+    }
+
+    /// As [`Recursion::correct`], once the gains have listened, with the information of every channel (m,) multiplied by
+    /// the square of its weight; one weight for channels whose noise is correlated.
+    pub fn correct_weighted(&mut self, model: &Model, k: usize, weights: &[f64], keep: bool) {
+        self.gains.weigh(weights);
+        self.expect(model, k);
+        self.condition(0..self.gains.channels().len());
+        self.conclude(keep);
     }
 
     /// Whether the new prior in `work` differs from the old one by no more than one step's rounding: going on

@@ -95,6 +95,11 @@ impl Gains {
         self.heard.listen(model, noise, k, y);
     }
 
+    /// As [`Heard::weigh`]: innovations must be weighted likewise.
+    pub fn weigh(&mut self, weights: &[f64]) {
+        self.heard.weigh(weights);
+    }
+
     /// What these gains hear.
     #[must_use]
     pub fn heard(&self) -> &Heard {
@@ -254,7 +259,8 @@ impl Gains {
         runs.diagnostics.copy_from_slice(&numbers);
     }
 
-    fn report(&self, model: &Model, nis: f64, x: &[f64], out: &mut Output<'_>) {
+    /// Everything there is to report but the innovation.
+    pub fn report(&self, model: &Model, nis: f64, x: &[f64], out: &mut Output<'_>) {
         out.x.copy_from_slice(x);
         out.x_std.copy_from_slice(&self.x_std);
         out.innovation_std.copy_from_slice(&self.innovation_std);

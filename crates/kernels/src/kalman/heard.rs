@@ -65,6 +65,14 @@ impl Heard {
         self.log_det = self.count as f64 * LOG_2PI + 2.0 * self.whitening.log_det(self.count);
     }
 
+    /// Multiply the row of every channel by its weight, (m,); channels with correlated noise must have the same.
+    pub fn weigh(&mut self, weights: &[f64]) {
+        let n = self.rows.len() / self.channels.len();
+        for (row, &channel) in self.rows.chunks_exact_mut(n).zip(&self.channels[..self.count]) {
+            row.iter_mut().for_each(|value| *value *= weights[channel]);
+        }
+    }
+
     /// The channels, in the order of their noise.
     #[must_use]
     pub fn channels(&self) -> &[usize] {

@@ -93,6 +93,17 @@ impl Ud {
         }
     }
 
+    /// `out` = P v; `f` is scratch, (n,).
+    pub fn apply(&self, v: &[f64], f: &mut [f64], out: &mut [f64]) {
+        for (j, value) in f.iter_mut().enumerate() {
+            *value = self.d[j] * (v[j] + dot(self.column(j), &v[..j])); // D Uᵀ v
+        }
+        out.copy_from_slice(f);
+        for (j, &value) in f.iter().enumerate() {
+            axpy(value, self.column(j), out);
+        }
+    }
+
     /// s = h P hᵀ + 1, to the bit as [`Ud::condition`] returns it.
     #[must_use]
     pub fn variance(&self, h: &[f64]) -> f64 {
