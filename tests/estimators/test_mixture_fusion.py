@@ -464,6 +464,7 @@ def test_without_a_steady_state_a_prior_is_asked_for() -> None:
 
 
 def test_settings_say_what_was_chosen() -> None:
+    assert MixtureFusion(golden_plant(), epsilon="none").settings["epsilon"] is None
     assert MixtureFusion(golden_plant()).settings == {
         "epsilon": 0.5,
         "init": "split",
