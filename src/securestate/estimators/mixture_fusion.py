@@ -12,8 +12,8 @@ References:
     Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022), Algorithm 1; epsilon=None is the method
     of Guo, Shi, Quevedo, Shi 2019 (guo2019).
 Deviations from the paper:
-    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error, by -30
-      in the example of the paper; gammahat goes into both. literal=True is (22d) as printed.
+    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error, by
+      about -30 in the example of the paper; gammahat goes into both. literal=True is (22d) as printed.
     * (7) and (8) mean P^- of sample k, not k - 1; the second factor of (19) lacks its hat.
     * Not in the paper: where pi and mu_1 start (`init`), when the iteration stops, what bounds Sigma_2 from
       below (`floor`), inputs, missing channels, a Pbar_i without an inverse.
