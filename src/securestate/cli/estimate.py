@@ -119,9 +119,7 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(
-            help="how often an honest sample raises an alarm; not for kalman, mixture and sparse."
-        ),
+        typer.Option(help="how often an honest sample raises an alarm; not for kalman, mixture and sparse."),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
