@@ -256,7 +256,8 @@ impl Mixture {
         let trace: f64 = self.spread.iter().step_by(n + 1).sum();
         let added = if rules.prior_floor { 0.0 } else { FLOOR * trace.max(1.0) };
         if n == 1 {
-            let variance = self.spread[0] + self.floor[0] + added;
+            let sum = self.spread[0] + self.floor[0] + added;
+            let variance = if sum == 0.0 { FLOOR } else { sum };
             self.factor[0] = 1.0 / variance.sqrt();
             return variance.ln();
         }
