@@ -6,6 +6,7 @@ from securestate.estimators.adaptive_kalman import AdaptiveKalman
 from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
+from securestate.estimators.cold_start import ColdStart, cold_start
 from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.joint_fusion import JointFusion, JointMoments
 from securestate.estimators.kalman import KalmanFilter
@@ -21,6 +22,7 @@ __all__ = [
     "AdaptiveKalman",
     "AugmentedKalman",
     "ChiSquareFilter",
+    "ColdStart",
     "Estimate",
     "Estimator",
     "Filter",
@@ -34,4 +36,5 @@ __all__ = [
     "Run",
     "SparseFusion",
     "Status",
+    "cold_start",
 ]
