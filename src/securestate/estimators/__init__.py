@@ -15,6 +15,7 @@ from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.registry import METHODS, Method
 from securestate.estimators.run import Run
 from securestate.estimators.sparse_fusion import SparseFusion
+from securestate.estimators.window_run import start_after, window_run
 
 __all__ = [
     "METHODS",
@@ -37,4 +38,6 @@ __all__ = [
     "SparseFusion",
     "Status",
     "cold_start",
+    "start_after",
+    "window_run",
 ]

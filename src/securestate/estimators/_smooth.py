@@ -57,11 +57,12 @@ def guess(model: Window, seen: Evidence, groups: Groups) -> Labels:
     return Labels(seen.computable(groups), fit, np.zeros(count), np.zeros(count, dtype=np.bool_))
 
 
-def trusts(labels: Labels, groups: Groups) -> Float:
+def trusts(seen: Evidence, labels: Labels, groups: Groups) -> Float:
     """1 / (1 + d^2 / quantile) of every group, at least one half if it is believed and less if it is not."""
     trust = 1 / (1 + labels.excess)
     trust = np.where(labels.honest, np.maximum(trust, 0.5), np.minimum(trust, np.nextafter(0.5, 0.0)))
     trust = np.where(labels.honest & ~labels.tested, np.nan, trust)
+    trust = np.where(seen.computable(groups), trust, 0.0)
     return np.where(groups.protected, 1.0, trust)
 
 

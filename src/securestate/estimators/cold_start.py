@@ -14,6 +14,7 @@ from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from threadpoolctl import threadpool_limits
 
 from securestate._checks import whole_number
 from securestate._value import Value
@@ -140,12 +141,13 @@ def cold_start(
     if window is not None and tau > longest:
         raise InputError("window", f"at most {longest} samples here", str(window))
     kinds = [True, False] if attacked == "any" else [attacked == "fixed"]
-    while True:
-        tau = min(tau, longest)
-        found = _attempt(plant, y[:tau], u[:tau], kinds)
-        if found.certified or tau == longest:
-            return found
-        tau = int(np.ceil(GROWTH * tau))
+    with threadpool_limits(limits=1, user_api="blas"):  # threads only slow matrices of this size down
+        while True:
+            tau = min(tau, longest)
+            found = _attempt(plant, y[:tau], u[:tau], kinds)
+            if found.certified or tau == longest:
+                return found
+            tau = int(np.ceil(GROWTH * tau))
 
 
 def _checked(plant: Plant, y: ArrayLike, u: ArrayLike | None) -> tuple[Float, Float]:
@@ -241,7 +243,7 @@ def _cold_start(window: _Data, labels: Labels | None, fixed: bool, why: str) -> 
     honest = np.zeros(plant.n_sensors if fixed else (tau, plant.n_sensors), dtype=np.bool_)
     honest.ravel()[keys] = labels.honest | groups.protected
     trust = np.full((tau, plant.n_sensors), np.nan)
-    trust[seen.instant, seen.sensor] = trusts(labels, groups)[groups.of]
+    trust[seen.instant, seen.sensor] = trusts(seen, labels, groups)[groups.of]
     attack, attack_std = window.injections(labels, groups)
     A = at(plant.A, k)
     return ColdStart._made(
