@@ -52,6 +52,13 @@ class OnAlarm(StrEnum):
     DROP_WORST = "drop-worst"
 
 
+class Prior(StrEnum):
+    """What is known before the first sample."""
+
+    STEADY_STATE = "steady-state"
+    WINDOW = "window"
+
+
 def _known(name: str) -> str:
     if name not in METHODS:
         raise typer.BadParameter(f"{name!r} is none of {', '.join(METHODS)}")
@@ -77,6 +84,13 @@ def estimate(
             help="; ".join(f"{name} {known.summary}" for name, known in METHODS.items()) + ".",
         ),
     ] = "sparse",
+    prior: Annotated[
+        Prior,
+        typer.Option(
+            help="steady-state: it starts near the operating point (default); window: anywhere, and "
+            "its first samples are solved together."
+        ),
+    ] = Prior.STEADY_STATE,
     kalman_probability: Annotated[
         float | None,
         typer.Option(help="sparse: how often an honest step equals the Kalman filter, in (0, 1)."),
@@ -179,6 +193,7 @@ def estimate(
             plant=plant,
             data=data,
             method=method,
+            from_window=prior is Prior.WINDOW,
             choices={name: value for name, value in choices.items() if value is not None},
             time_column=time_column,
             allow_missing=allow_missing,
