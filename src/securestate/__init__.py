@@ -16,6 +16,7 @@ from securestate.estimators import (
     AdaptiveKalman,
     AugmentedKalman,
     ChiSquareFilter,
+    ColdStart,
     Estimate,
     Estimator,
     Filter,
@@ -29,6 +30,7 @@ from securestate.estimators import (
     Run,
     SparseFusion,
     Status,
+    cold_start,
 )
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
@@ -40,6 +42,7 @@ __all__ = [
     "AugmentedKalman",
     "Belief",
     "ChiSquareFilter",
+    "ColdStart",
     "Comparison",
     "DesignError",
     "Estimate",
@@ -67,6 +70,7 @@ __all__ = [
     "Status",
     "Trajectory",
     "attacks",
+    "cold_start",
     "compare",
     "read_measurements",
     "simulate",

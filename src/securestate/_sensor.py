@@ -77,6 +77,22 @@ class Sensor(Value):
             unit=_units(f"{at}unit", unit, count),
         )
 
+    def from_sample(self, first: int) -> "Sensor":
+        """Return the same sensor, counted from sample `first` on."""
+        if self.C.ndim == 2:
+            return self
+        return Sensor(
+            self.name,
+            self.C[first:],
+            self.R,
+            D=self.D,
+            protected=self.protected,
+            channels=self.channels,
+            offset=self.offset,
+            scale=self.scale,
+            unit=self.unit,
+        )
+
     def __repr__(self) -> str:
         return f"Sensor({self.name!r}, channels={len(self.channels)}{', protected' * self.protected})"
 

@@ -53,7 +53,7 @@ class Value:
 
 def _same(first: object, second: object) -> bool:
     if isinstance(first, np.ndarray) and isinstance(second, np.ndarray):
-        return np.array_equal(first, second)
+        return np.array_equal(first, second, equal_nan=first.dtype.kind == "f")
     return type(first) is type(second) and first == second
 
 

@@ -243,12 +243,25 @@ class Plant(Value):
         """Return the same plant with only these sensors (indices from 0), in the given order."""
         kept = list(sensors)
         rows = np.concatenate([np.arange(self.m)[self.channels_of(i)] for i in kept] or [np.arange(0)])
+        return self._with(self.A, [self.sensors[i] for i in kept], rows)
+
+    def from_sample(self, first: int) -> "Plant":
+        """Return the same plant counted from sample `first` on; itself if it does not vary in time."""
+        if self.horizon is None:
+            return self
+        if not 0 <= check.whole_number("first", first, 0, InputError) < self.horizon:
+            raise InputError("first", f"a sample in 0..{self.horizon - 1}", str(first))
+        A = self.A[first:] if self.A.ndim == 3 else self.A
+        return self._with(A, [sensor.from_sample(first) for sensor in self.sensors], np.arange(self.m))
+
+    def _with(self, A: Array, sensors: list[Sensor], rows: NDArray[np.int64]) -> "Plant":
+        """Return the same plant with these dynamics and sensors, whose channels are `rows` of this one."""
         own_noise = all(sensor.R is not None for sensor in self.sensors)
         own_feedthrough = any(sensor.D is not None for sensor in self.sensors)
         return Plant(
-            self.A,
+            A,
             self.Q,
-            [self.sensors[i] for i in kept],
+            sensors,
             B=self.B,
             D=None if own_feedthrough else self.D[rows],
             R=None if own_noise else self.R[np.ix_(rows, rows)],

@@ -13,12 +13,21 @@ from securestate.estimators.registry import METHODS
 
 
 class Form(StrEnum):
-    """Which form of sparse or of joint fusion."""
+    """Which form of sparse fusion, joint fusion or the innovation mixture."""
 
     ROBUST = "robust"
     PAPER = "paper"
     EXACT = "exact"
     PRINTED = "printed"
+    PROPAGATION = "propagation"
+    BELIEF = "belief"
+
+
+class Memory(StrEnum):
+    """What the innovation mixture remembers of a sensor."""
+
+    RATE = "rate"
+    STICKY = "sticky"
 
 
 class Protected(StrEnum):
@@ -75,6 +84,13 @@ class Floor(StrEnum):
     PRIOR = "prior"
 
 
+class Prior(StrEnum):
+    """What is known before the first sample."""
+
+    STEADY_STATE = "steady-state"
+    WINDOW = "window"
+
+
 def _known(name: str) -> str:
     if name not in METHODS:
         raise typer.BadParameter(f"{name!r} is none of {', '.join(METHODS)}")
@@ -100,6 +116,13 @@ def estimate(
             help="; ".join(f"{name} {known.summary}" for name, known in METHODS.items()) + ".",
         ),
     ] = "sparse",
+    prior: Annotated[
+        Prior,
+        typer.Option(
+            help="steady-state: it starts near the operating point (default); window: anywhere, and "
+            "its first samples are solved together."
+        ),
+    ] = Prior.STEADY_STATE,
     kalman_probability: Annotated[
         float | None,
         typer.Option(help="sparse: how often an honest step equals the Kalman filter, in (0, 1)."),
@@ -109,7 +132,10 @@ def estimate(
     ] = None,
     form: Annotated[
         Form | None,
-        typer.Option(help="sparse: robust (default) or paper; joint: exact (default) or printed."),
+        typer.Option(
+            help="sparse: robust (default) or paper; joint: exact (default) or printed; "
+            "innovation-mixture: propagation (default) or belief."
+        ),
     ] = None,
     refit: Annotated[
         bool | None,
@@ -119,7 +145,7 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(help="how often an honest sample raises an alarm; not for kalman, mixture and sparse."),
+        typer.Option(help="how often an honest sample raises an alarm; not for kalman, sparse and mixtures."),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
@@ -153,6 +179,18 @@ def estimate(
     square_root: Annotated[
         bool | None,
         typer.Option("--square-root", help="joint: keep covariances as factors.", show_default=False),
+    ] = None,
+    memory: Annotated[
+        Memory | None,
+        typer.Option(help="innovation-mixture: how often a sensor lied (rate, default), or its habits (sticky)."),
+    ] = None,
+    monitor: Annotated[
+        float | None,
+        typer.Option(help="innovation-mixture: looks for small biases; forgetting in (0, 1) (default: none)."),
+    ] = None,
+    kappa: Annotated[
+        float | None,
+        typer.Option(help="innovation-mixture: variance expected of a false innovation (default: 5)."),
     ] = None,
     epsilon: Annotated[
         str | None,
@@ -226,6 +264,9 @@ def estimate(
         "protected": None if protected is None else protected.value,
         "fusion": None if fusion is None else fusion.value,
         "square_root": square_root or None,
+        "memory": None if memory is None else memory.value,
+        "monitor": monitor,
+        "kappa": kappa,
         "epsilon": None if epsilon is None else _number_or_word(epsilon),
         "init": None if init is None else init.value,
         "literal": literal or None,
@@ -240,6 +281,7 @@ def estimate(
             plant=plant,
             data=data,
             method=method,
+            from_window=prior is Prior.WINDOW,
             choices={name: value for name, value in choices.items() if value is not None},
             time_column=time_column,
             allow_missing=allow_missing,

@@ -14,11 +14,12 @@ from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design, refuse_foreign
 from securestate.errors import InputError, SecurestateWarning
-from securestate.estimators import Estimator, Run
+from securestate.estimators import ColdStart, Estimator, Run, cold_start, start_after, window_run
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Plant
 from securestate.reporting import summarise, write_report
 from securestate.reporting.beside import compare_runs
+from securestate.reporting.summary import enumerate_names
 
 BLOCK = 1000  # samples between two looks at the progress bar and at Ctrl-C
 
@@ -30,6 +31,7 @@ class Order:
     plant: Path
     data: Path
     method: str
+    from_window: bool
     choices: Mapping[str, object]
     time_column: str | None
     allow_missing: bool
@@ -54,12 +56,19 @@ def run_order(order: Order) -> Exit:
     )
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", SecurestateWarning)
-        estimator = design(plant, order.method, order.choices)
-    other = estimator.beside if estimator.beside and not estimator.beside.no_steady_state else None
+        estimator = design(plant, order.method, order.choices, given=order.from_window)
+        first = cold_start(plant, data.y, data.u) if order.from_window else None
+    other = estimator.beside if first or not (estimator.beside and estimator.beside.no_steady_state) else None
     with console.progress(len(data.y) * (1 if other is None else 2), quiet=order.quiet) as advance:
-        run = run_in_blocks(estimator, data, covariance=order.covariance, advance=advance)
-        beside = None if other is None else run_in_blocks(other, data, covariance=False, advance=advance)
-    said = [*(_sentence(str(one.message)) for one in warned), *remarks(data, estimator)]
+        run = run_in_blocks(estimator, data, first, covariance=order.covariance, advance=advance)
+        beside = (
+            None if other is None else run_in_blocks(other, data, first, covariance=False, advance=advance)
+        )
+    said = [
+        *([] if first is None else window_remarks(first)),
+        *(_sentence(str(one.message)) for one in warned),
+        *remarks(data, estimator),
+    ]
     written = _write(run, beside, said, order)
     summary = summarise(run)
     if not order.quiet:
@@ -69,12 +78,24 @@ def run_order(order: Order) -> Exit:
 
 
 def run_in_blocks(
-    estimator: Estimator, data: Measurements, *, covariance: bool, advance: Callable[[int], None]
+    estimator: Estimator,
+    data: Measurements,
+    first: ColdStart | None = None,
+    *,
+    covariance: bool,
+    advance: Callable[[int], None],
 ) -> Run:
-    """Run one filter over all samples, telling how many are done after every block."""
-    live = estimator.start()
-    blocks = []
-    for start in range(0, len(data.y), BLOCK):
+    """Run one filter over all samples, telling how many are done after every block.
+
+    With a cold start its window is the first block, and the filter starts after it.
+    """
+    blocks = [] if first is None else [window_run(estimator, first, covariance=covariance)]
+    done = 0 if first is None else first.samples
+    advance(done)
+    if done == len(data.y):
+        return Run.concat(blocks).with_time(data.time)
+    live = estimator.start() if first is None else start_after(estimator, first)
+    for start in range(done, len(data.y), BLOCK):
         rows = slice(start, start + BLOCK)
         u = None if data.u is None else data.u[rows]
         with warnings.catch_warnings():
@@ -82,6 +103,19 @@ def run_in_blocks(
             blocks.append(live.run(data.y[rows], u, covariance=covariance))
         advance(len(blocks[-1].status))
     return Run.concat(blocks).with_time(data.time)
+
+
+def window_remarks(first: ColdStart) -> list[str]:
+    """Say what the cold start found."""
+    names = np.array(first.plant.sensor_names)
+    believed = ~first.suspected & ~np.isnan(first.trust)
+    parties = (("believed", believed.any(axis=0)), ("distrusted", first.suspected.any(axis=0)))
+    said = [f"{what}: {enumerate_names(tuple(names[who].tolist()))}" for what, who in parties if who.any()]
+    window = _count(first.samples, "sample")
+    start = f"No prior: the first {window} were solved together; {'; '.join(said) or 'nothing arrived'}."
+    if first.certified:
+        return [start]
+    return [start, f"This start is NOT certified: {first.reason}. Give it no weight without another look."]
 
 
 def remarks(data: Measurements, estimator: Estimator) -> list[str]:

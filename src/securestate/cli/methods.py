@@ -1,4 +1,4 @@
-"""The registered methods as the command line offers them: chosen by name, ready to start without a prior."""
+"""The registered methods as the command line offers them: chosen by name, ready to start."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from securestate.estimators import METHODS, Estimator
 from securestate.plant import Plant
 
 
-def design(plant: Plant, name: str, choices: Mapping[str, object]) -> Estimator:
-    """Design an estimator; `choices` are the settings that were given.
+def design(plant: Plant, name: str, choices: Mapping[str, object], *, given: bool = False) -> Estimator:
+    """Design an estimator; `choices` are the settings that were given, `given` says that a prior will be.
 
     Raises:
         DesignError: the plant does not allow the method, or it could not start without a prior.
         InputError: a setting is out of range.
     """
     estimator = METHODS[name].design(plant, **choices)
-    if estimator.no_steady_state:
+    if estimator.no_steady_state and not given:
         reason = f"{estimator.name} has no steady state to start from: {estimator.no_steady_state}"
-        advice = f"or run it from Python with a prior: {estimator.name}(plant).run(y, u, prior)"
+        advice = (
+            "start from the first samples, --prior window, "
+            f"or from Python with a prior: {estimator.name}(plant).run(y, u, prior)"
+        )
         raise DesignError(reason, advice)
     return estimator
 

@@ -6,6 +6,7 @@ from securestate.estimators.adaptive_kalman import AdaptiveKalman
 from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
+from securestate.estimators.cold_start import ColdStart, cold_start
 from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.innovation_mixture import InnovationMixture
 from securestate.estimators.joint_fusion import JointFusion, JointMoments
@@ -16,6 +17,7 @@ from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.registry import METHODS, Method
 from securestate.estimators.run import Run
 from securestate.estimators.sparse_fusion import SparseFusion
+from securestate.estimators.window_run import start_after, window_run
 
 __all__ = [
     "METHODS",
@@ -23,6 +25,7 @@ __all__ = [
     "AdaptiveKalman",
     "AugmentedKalman",
     "ChiSquareFilter",
+    "ColdStart",
     "Estimate",
     "Estimator",
     "Filter",
@@ -38,4 +41,7 @@ __all__ = [
     "Run",
     "SparseFusion",
     "Status",
+    "cold_start",
+    "start_after",
+    "window_run",
 ]

@@ -9,7 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -145,6 +145,8 @@ class Estimator:
     kernel: _kernels.Kernel
     #: Why `run` and `start` need a prior with a covariance P; empty if they do not.
     no_steady_state: str = ""
+    #: Whether a prior may say P; False: the method always has the covariance of its steady state.
+    takes_covariance: bool = True
     #: Another estimator of the same plant whose result belongs beside this one's, or None.
     beside: Estimator | None = None
     #: Share of missing samples above which `run` warns that the method is the wrong tool; None = never.
@@ -168,7 +170,7 @@ class Estimator:
         self,
         y: ArrayLike,
         u: ArrayLike | None = None,
-        prior: Belief | None = None,
+        prior: Belief | Literal["window"] | None = None,
         *,
         covariance: bool = True,
     ) -> Run:
@@ -178,16 +180,24 @@ class Estimator:
             y: measurements, shape (T, m) or (runs, T, m), sensor units; NaN marks a missing channel. A table
                 with column names, such as a DataFrame, is read by the names of the channels.
             u: inputs, shape (T, p), or (runs, T, p) for a batch; needed if and only if the plant has inputs.
-            prior: belief about x[0] before y[0]; None means mean zero and steady state.
+            prior: belief about x[0] before y[0]; None means mean zero and steady state. "window" needs none:
+                `cold_start` estimates the first samples, as many as it takes, each run for itself, and the
+                estimator starts from its belief. The states of these samples are smoothed, their status is
+                COLD_START or, with a warning, ILL_CONDITIONED, their innovations are NaN.
             covariance: False leaves `Run.P` None, which saves n² numbers per sample.
         Returns:
             Run; its arrays have the leading axes of `y`. A batch gives the same bits as a loop.
         Raises:
             ShapeError, MeasurementError: naming the argument, expected and received.
+            DesignError: for "window", no sensor sees some mode of the plant.
         """
         batch = np.ndim(y) == 3
         y = check_measurements(y, self.plant, ("runs", "T") if batch else ("T",))
         u = check_inputs(u, self.plant, y.shape)
+        if isinstance(prior, str) and prior == "window":
+            from securestate.estimators.window_run import run_from_window  # it is built on this module
+
+            return run_from_window(self, y, u, covariance=covariance)
         bank = self.start(prior, runs=y.shape[0] if batch else None)
         return _advance(bank, self, y if batch else y[np.newaxis], u, covariance=covariance, batch=batch)
 
@@ -202,6 +212,20 @@ class Estimator:
         means = np.ascontiguousarray(np.broadcast_to(mean, (runs or 1, self.plant.n)))
         return Filter(self, means, cov, None, runs)
 
+    def from_sample(self, first: int) -> Estimator:
+        """The same method and settings for the plant counted from sample `first` on.
+
+        Itself if nothing varies in time.
+        """
+        settings = self._settings_from(first)
+        if settings is self.settings and not self.plant.time_varying:
+            return self
+        design: Any = type(self)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SecurestateWarning)  # said when this one was designed
+            later: Estimator = design(self.plant.from_sample(first), **settings)
+        return later
+
     def resume(self, blob: bytes) -> Filter:
         """The filter whose `save()` returned `blob`; it continues bit for bit.
 
@@ -210,9 +234,16 @@ class Estimator:
         """
         return Filter(self, None, None, blob)
 
-    def _prior(self, prior: Belief | None) -> tuple[Float, Float | None]:
+    def _settings_from(self, _first: int) -> Mapping[str, Any]:
+        """The settings counted from sample `first` on; a method whose settings vary in time cuts them."""
+        return self.settings
+
+    def _prior(self, prior: object) -> tuple[Float, Float | None]:
         if prior is None:
             return np.zeros(self.plant.n), None
+        if isinstance(prior, str) and prior == "window":
+            expected = "a Belief or None; collect samples, call cold_start(plant, y), start from its belief"
+            raise InputError("prior", expected, '"window"')
         if not isinstance(prior, Belief):
             raise InputError("prior", "a Belief or None", type(prior).__name__)
         if prior.x.shape != (self.plant.n,):

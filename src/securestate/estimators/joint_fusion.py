@@ -22,7 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, final
+from typing import Any, Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -193,6 +193,11 @@ class JointFusion(Estimator):
             "false_alarm_rate": rate,
         }
         super().__init__(plant, kernel, settings)
+
+    def _settings_from(self, first: int) -> Mapping[str, Any]:
+        if len(self._eta) == 1:
+            return self.settings
+        return {**self.settings, "eta": np.asarray(self.settings["eta"])[first:]}
 
     def _kernel(
         self,

@@ -78,6 +78,8 @@ class OracleFilter:
         u = check_inputs(u, self.plant, y.shape)
         liars = _attacked(attacked, (*y.shape[:-1], self.plant.n_sensors))
         lies = liars[..., self.plant.channel_sensor]
+        if isinstance(prior, str):  # who is told who lies needs nobody to find out
+            raise InputError("prior", "a Belief or None", repr(prior))
         run = self.kalman.run(np.where(lies, np.nan, y), u, prior, covariance=covariance)
         start = np.zeros(self.plant.n) if prior is None else prior.x
         return _told(run, y, u, _predicted(self.plant, run.x, u, start), liars)

@@ -133,6 +133,7 @@ class SparseFusion(Estimator):
 
     #: Share of missing samples above which `run` warns.
     missing_limit = MISSING_LIMIT
+    takes_covariance = False
     decomposition: Decomposition
 
     def __init__(
