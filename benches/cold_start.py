@@ -3,8 +3,8 @@
 Fresh random instances of the sizes of the literature. A has 30 % of entries, the largest eigenvalue on the
 unit circle; C has 30 %; Q = R = 1e-4 I; x[0] ~ N(0, 100 I). Liars add N(0, 20^2) to every reading. Fixed sets
 are the same sensors throughout, changing ones are drawn anew at every sample. "exact" is the share of
-instances in which exactly the readings of liars are distrusted. "wrong" counts certified ones whose state after
-the window is off beyond its 1e-6 quantile, or, for fixed sets, in which a liar is believed.
+instances in which exactly the readings of liars are distrusted. "wrong" counts certified ones whose state
+after the window is off beyond its 1e-6 quantile, or, for fixed sets, in which a liar is believed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""InnovationMixture against the same beliefs in NumPy, and against one fit of scikit-learn's Gaussian mixture."""
+"""InnovationMixture against the same beliefs in NumPy, and one fit of scikit-learn's Gaussian mixture."""
 
 from __future__ import annotations
 
@@ -33,9 +33,7 @@ def steps(quick: bool) -> Iterator[Comparison]:
             return np.array([filter.step(row).x for row in rows])
 
         size = f"n={n} N={sensors}, {share:.0%} attacked"
-        ours = Contender(
-            "our InnovationMixture", live, samples, lambda e=estimator, p=prior: e.start(p)
-        )
+        ours = Contender("our InnovationMixture", live, samples, lambda e=estimator, p=prior: e.start(p))
         theirs = Contender("NumPy", lambda _, a=(plant, prior, y): in_numpy(*a), samples)
         yield Comparison("mixture step", size, ours, theirs, TOLERANCE, target=target)
         if n == 1:
@@ -57,7 +55,7 @@ def batch(quick: bool) -> Iterator[Comparison]:
 
 
 def attacked(n: int, sensors: int, share: float, samples: int) -> tuple[Plant, Belief, Float]:
-    """A random plant, what is known at its start, and readings of which a fixed set has N(0, 20²) added."""
+    """A random plant, what is known at its start, and readings; a fixed set adds N(0, 20²) to its own."""
     rng = np.random.default_rng([n, sensors, int(100 * share)])
     A = rng.standard_normal((n, n))
     A *= 0.98 / np.abs(np.linalg.eigvals(A)).max()

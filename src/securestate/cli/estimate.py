@@ -182,11 +182,15 @@ def estimate(
     ] = None,
     memory: Annotated[
         Memory | None,
-        typer.Option(help="innovation-mixture: how often a sensor lied (rate, default), or its habits (sticky)."),
+        typer.Option(
+            help="innovation-mixture: how often a sensor lied (rate, default), or its habits (sticky)."
+        ),
     ] = None,
     monitor: Annotated[
         float | None,
-        typer.Option(help="innovation-mixture: looks for small biases; forgetting in (0, 1) (default: none)."),
+        typer.Option(
+            help="innovation-mixture: looks for small biases; forgetting in (0, 1) (default: none)."
+        ),
     ] = None,
     kappa: Annotated[
         float | None,
