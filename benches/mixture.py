@@ -82,7 +82,7 @@ def one_fit(y: Float) -> Contender:
 
 
 def in_numpy(plant: Plant, prior: Belief, y: Float) -> Float:
-    """The estimates of `InnovationMixture(plant, merge=False)` for scalar sensors, vectorised over sensors."""
+    """The estimates of `InnovationMixture(plant, merge=False)` for scalar sensors, by NumPy."""
     assert prior.P is not None
     root = np.sqrt(np.diag(plant.R))
     C, kappa, keep = plant.C / root[:, np.newaxis], 5.0, 0.98
