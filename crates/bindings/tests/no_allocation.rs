@@ -17,6 +17,8 @@ use securestate_kernels::joint_fusion::fusion::Rule as Fusion;
 use securestate_kernels::joint_fusion::layout::Layout as Stacks;
 use securestate_kernels::kalman::Kalman;
 use securestate_kernels::kalman::model::{Matrices, Model};
+use securestate_kernels::mixture_fusion::em::{Rules, Start};
+use securestate_kernels::mixture_fusion::{MixtureFusion, Settings as MixtureSettings};
 use securestate_kernels::projection::{Blocks, Projection};
 use securestate_kernels::protected::Protected;
 use securestate_kernels::sparse_fusion::{self, SparseFusion};
@@ -194,6 +196,43 @@ fn a_detector_step_allocates_nothing_alarmed_or_not() {
             assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}) {rule:?}");
             let prior = identity(n);
             assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior ({n}, {m}) {rule:?}");
+        }
+    }
+}
+
+/// Mixture fusion of sensors whose noise is independent.
+fn mixture_fusion(
+    (states, channels): (usize, usize),
+    feedback: bool,
+    settings: MixtureSettings,
+) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let mut given = matrices(n, m);
+    (0..m * m).filter(|k| k / m / 2 != k % m / 2).for_each(|k| given.r[k] = 0.0);
+    let filter = Kalman::new(Model::new(given).unwrap(), Some(&identity(n))).unwrap();
+    let priors = identity(n).repeat(m.div_ceil(2));
+    let estimator = MixtureFusion::new(filter, (!feedback).then_some(&priors[..]), settings).unwrap();
+    Design::boxed(estimator, plain_units(m)).unwrap()
+}
+
+#[test]
+fn a_mixture_fusion_step_allocates_nothing_with_any_settings() {
+    for (n, m) in [(1, 6), (4, 9), (12, 30)] {
+        for (start, precise, prior_floor) in [
+            (Start::Split, false, false),
+            (Start::Median, true, true),
+            (Start::Mean, true, false),
+            (Start::Prediction, false, true),
+        ] {
+            for (literal, feedback) in [(false, false), (true, false), (false, true)] {
+                let rules = Rules { start, precise, prior_floor, cap: 30 };
+                let settings = MixtureSettings { epsilon: Some(0.2), literal, start: 5, rules };
+                let kernel = mixture_fusion((n, m), feedback, settings);
+                let name = format!("({n}, {m}) {settings:?} {feedback}");
+                assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady {name}");
+                let prior = identity(n);
+                assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior {name}");
+            }
         }
     }
 }

@@ -1,4 +1,4 @@
-"""What mixture fusion needs before any data: the steady state of every sensor's own filter on the whole state."""
+"""What mixture fusion needs before any data: the steady state of every sensor's own filter."""
 
 from __future__ import annotations
 
@@ -43,7 +43,9 @@ def local_priors(plant: Plant) -> Float:
 def _local_prior(plant: Plant, i: int) -> Float:
     own, name = plant.channels_of(i), plant.sensor_names[i]
     try:
-        return steady_state(Plant(plant.A, plant.Q, [Sensor(name, C=plant.C[own], R=plant.R[own, own])])).P_prior
+        return steady_state(
+            Plant(plant.A, plant.Q, [Sensor(name, C=plant.C[own], R=plant.R[own, own])])
+        ).P_prior
     except DesignError as refusal:
         raise DesignError(
             f"sensor {name!r} alone cannot estimate the whole state: {refusal.reason}",

@@ -1,4 +1,4 @@
-"""Mixture fusion: local estimates clustered by a Gaussian mixture, sensors weighted with what that says of them.
+"""Mixture fusion: local estimates clustered by a Gaussian mixture, sensors weighted by what that says.
 
     local estimate   x_i = x_i^- + Pbar_i C_i' R_i^-1 (y_i - C_i x_i^-)                             (8), (10)
     mixture          p(x_i) = pi_1 N(x_i; mu_1, Pbar_i) + pi_2 N(x_i; mu_2, Sigma_2)                     (13)
@@ -9,14 +9,14 @@
                      x = x^- + P sum gammahat_i C_i' R_i^-1 (y_i - C_i x^-)                             (22c)
 
 References:
-    Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022), Algorithm 1; epsilon=None is the method of
-    Guo, Shi, Quevedo, Shi 2019 (guo2019).
+    Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022), Algorithm 1; epsilon=None is the method
+    of Guo, Shi, Quevedo, Shi 2019 (guo2019).
 Deviations from the paper:
-    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error by about
-      -30; gammahat goes into both. literal=True is (22d) as printed.
+    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error, by -30
+      in the example of the paper; gammahat goes into both. literal=True is (22d) as printed.
     * (7) and (8) mean P^- of sample k, not k - 1; the second factor of (19) lacks its hat.
     * Not in the paper: where pi and mu_1 start (`init`), when the iteration stops, what bounds Sigma_2 from
-      below (`floor`), inputs, missing channels, an Pbar_i without an inverse.
+      below (`floor`), inputs, missing channels, a Pbar_i without an inverse.
     * (18) is not the maximiser where the Pbar_i differ; mean="precision" is.
 """
 
@@ -49,9 +49,9 @@ class MixtureFusion(Estimator):
     """A Kalman filter that weighs sensors by how well their own estimates of the state cluster.
 
     Every sensor runs a steady-state Kalman filter on the whole state. At every sample a mixture of two
-    Gaussians is fitted to the estimates x_i of those sensors that sent something: the honest ones scatter with
-    the covariances Pbar_i of their filters, the attacked ones with any mean and covariance. The belief that
-    sensor i is honest weighs its reading in the fused filter.
+    Gaussians is fitted to the estimates x_i of those sensors that sent something: the honest ones scatter
+    with the covariances Pbar_i of their filters, the attacked ones with any mean and covariance. The belief
+    that sensor i is honest weighs its reading in the fused filter.
 
     Args:
         plant: a plant that does not vary, in which every sensor alone can estimate the whole state, and the
@@ -61,9 +61,9 @@ class MixtureFusion(Estimator):
             beliefs are swapped, in [0, 1]. It should be at least the share of sensors that may be attacked.
             None: never, as Guo et al. 2019 have it.
         init: where mu_1 starts. "split": one standard deviation of the estimates from their mean along the
-            direction in which they differ most, mu_2 opposite; mu_1 is on the side where the largest entry of
-            that direction is negative. "median": coordinate by coordinate. "mean". "prediction": x[k|k-1].
-            mu_2 is otherwise the mean; Sigma_2 is the covariance of the estimates, pi one half.
+            direction in which they differ most, mu_2 opposite; mu_1 is smaller in the state that this
+            direction is closest to. "median": state by state. "mean". "prediction": x[k|k-1]. mu_2 is
+            otherwise the mean; Sigma_2 is the covariance of the estimates, pi one half.
         literal: use the beliefs before they are swapped in (22d), as printed. For study: errors explode.
         start: samples before which every sensor is believed, as the systems of the paper reach their steady
             state before anybody attacks.
@@ -102,11 +102,12 @@ class MixtureFusion(Estimator):
         NO_MEASUREMENT, ILL_CONDITIONED: as `KalmanFilter`.
         NOT_CONVERGED: the iteration stopped at its cap; the beliefs are those of its last step.
         MAJORITY_SUSPECT: more than half of the sensors that sent something are suspected, converged or not.
-        BROKEN_DOWN: the literal form would have led x beyond 1e100, and gammahat went into (22d) this time; or
-            the estimates are too far apart for the likelihood to be a number, and everybody is believed.
+        BROKEN_DOWN: the literal form would have led x beyond 1e100, and gammahat went into (22d) this time;
+            or the estimates are too far apart for the likelihood to be a number, and everybody is believed.
 
     References:
-        Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022); Guo, Shi, Quevedo, Shi 2019 (guo2019).
+        Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022); Guo, Shi, Quevedo, Shi 2019
+        (guo2019).
 
     Examples:
         >>> from securestate import MixtureFusion, Plant, Sensor

@@ -350,3 +350,89 @@ fn average(points: &[f64], weights: &[f64], total: f64, out: &mut [f64]) {
         axpy(weight / total, point, out);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kalman::ud::Ud;
+
+    const POINTS: [f64; 8] = [0.1, -0.2, 0.3, 0.05, -0.4, 6.0, 5.5, 7.2];
+
+    fn rules(precise: bool, cap: usize) -> Rules {
+        Rules { start: Start::Median, precise, prior_floor: false, cap }
+    }
+
+    /// The case `em_plain` or `em_precision` of tests/cases/mixture/golden.json, stopped after `cap` iterations.
+    fn fit(precise: bool, cap: usize) -> (Mixture, Outcome) {
+        let (mut mixture, mut known) = (Mixture::new(8, 1), Known::new(8, 1, precise));
+        for (i, point) in POINTS.iter().enumerate() {
+            known.set(i, &Ud { u: vec![0.0], d: vec![0.2 + 0.05 * i as f64] });
+            mixture.add(i, &[*point]);
+        }
+        let outcome = mixture.fit(&rules(precise, cap), &known, &[0.0]);
+        (mixture, outcome)
+    }
+
+    fn assert_case(precise: bool, trace: [f64; 6], mean: [f64; 2], spread: f64, attacked: [f64; 3]) {
+        for (i, want) in trace.iter().enumerate() {
+            let (_, outcome) = fit(precise, i + 1);
+            assert!((outcome.likelihood - want).abs() < 1e-9, "iteration {}: {}", i + 1, outcome.likelihood);
+        }
+        let (mixture, outcome) = fit(precise, 100);
+        assert_eq!(outcome.iterations, 6);
+        assert!(outcome.converged());
+        let centre = mixture.centre[0];
+        for (got, want) in mixture.mean.iter().zip(mean) {
+            assert!((got[0] + centre - want).abs() < 1e-9, "{} {want}", got[0] + centre);
+        }
+        assert!((mixture.spread[0] - spread).abs() < 1e-9);
+        assert!((mixture.weights[1] - 0.375).abs() < 1e-9);
+        let beliefs: Vec<_> = mixture.beliefs().collect();
+        for (i, honest, attacked) in &beliefs[..5] {
+            assert!((honest - 1.0).abs() < 1e-9 && attacked.abs() < 1e-9, "{i}");
+        }
+        for ((_, honest, _), want) in beliefs[5..].iter().zip(attacked) {
+            assert!((honest / want - 1.0).abs() < 1e-6, "{honest} {want}");
+        }
+    }
+
+    #[test]
+    fn the_mean_as_printed_gives_the_numbers_of_an_independent_program() {
+        let trace = [
+            -15.810362660782074,
+            -13.228659514904248,
+            -11.512271395406149,
+            -10.50966033322796,
+            -10.509634692102317,
+            -10.509634692102317,
+        ];
+        let honest = [5.319300484455819e-18, 1.4929095183249612e-13, 9.240281730645854e-21];
+        assert_case(false, trace, [-0.029999999999834902, 6.233333333333369], 0.5088888888888927, honest);
+    }
+
+    #[test]
+    fn the_precise_mean_gives_the_numbers_of_an_independent_program() {
+        let trace = [
+            -15.810362660782074,
+            -13.22702557682003,
+            -11.506970471133005,
+            -10.505712568570733,
+            -10.505690320827583,
+            -10.505690320827583,
+        ];
+        let honest = [7.055555859703477e-18, 1.8848269788527923e-13, 1.2191765533169967e-20];
+        assert_case(true, trace, [-0.008882907133125744, 6.233333333333378], 0.5088888888888923, honest);
+    }
+
+    #[test]
+    fn points_that_are_the_same_are_honest() {
+        let (mut mixture, mut known) = (Mixture::new(3, 2), Known::new(3, 2, true));
+        for i in 0..3 {
+            known.set(i, &Ud { u: vec![0.0; 4], d: vec![1e-18, 0.0] });
+            mixture.add(i, &[1e9, -3.0]);
+        }
+        let outcome = mixture.fit(&rules(true, 50), &known, &[0.0, 0.0]);
+        assert!(outcome.converged());
+        assert!(mixture.beliefs().all(|(_, honest, _)| honest > 0.9));
+    }
+}
