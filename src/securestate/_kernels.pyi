@@ -17,6 +17,7 @@ __all__ = [
     "adaptive_joint",
     "augmented",
     "detector",
+    "innovation_mixture",
     "joint_fusion",
     "joint_moments",
     "kalman",
@@ -105,6 +106,21 @@ def detector(
     rule: str,
     quantiles: _Float,
     local: list[tuple[_Float, _Float, _Float, _Float, _Float, _Float, _Float]],
+) -> Kernel: ...
+def innovation_mixture(
+    plant: Plant,
+    prior: _Float | None,
+    *,
+    form: str,
+    attacked: str,
+    memory: str,
+    merge: bool,
+    kappa: float,
+    forgetting: float,
+    cap: int,
+    tolerance: float,
+    student: tuple[float, _Float],
+    monitor: tuple[float | None, _Float],
 ) -> Kernel: ...
 def simulate(
     plant: Plant,

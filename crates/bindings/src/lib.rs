@@ -12,6 +12,7 @@ mod filter;
 mod joint_fusion;
 mod kalman;
 mod kernel;
+mod mixture;
 mod mixture_fusion;
 mod plant;
 mod simulation;
@@ -37,6 +38,7 @@ mod _kernels {
     #[pymodule_export]
     use super::kernel::Kernel;
     #[pymodule_export]
+    use super::mixture::innovation_mixture;
     use super::mixture_fusion::mixture_fusion;
     #[pymodule_export]
     use super::simulation::simulate;

@@ -7,6 +7,7 @@ from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
+from securestate.estimators.innovation_mixture import InnovationMixture
 from securestate.estimators.joint_fusion import JointFusion, JointMoments
 from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.mixture_fusion import MixtureFusion
@@ -26,6 +27,7 @@ __all__ = [
     "Estimator",
     "Filter",
     "InnovationGate",
+    "InnovationMixture",
     "JointFusion",
     "JointMoments",
     "KalmanFilter",

@@ -14,6 +14,7 @@ from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
+from securestate.estimators.innovation_mixture import InnovationMixture
 from securestate.estimators.joint_fusion import JointFusion
 from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.mixture_fusion import MixtureFusion
@@ -47,6 +48,9 @@ class Method:
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
         "sparse": Method(SparseFusion, "finds lying sensors"),
+        "innovation-mixture": Method(
+            InnovationMixture, "weighs readings by the belief that they are honest; liars may change"
+        ),
         "kalman": Method(KalmanFilter, "trusts every sensor"),
         "adaptive-joint": Method(
             AdaptiveJointFilter, "judges sensors by those that are protected", "protected"

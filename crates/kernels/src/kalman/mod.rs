@@ -105,14 +105,7 @@ impl Kalman {
     /// # Errors
     /// If A or C varies and does not cover it.
     pub fn check_horizon(&self, k: usize) -> Result<()> {
-        match self.model().horizon {
-            Some(horizon) if k >= horizon => Err(Error::input(
-                "y",
-                format!("at most {horizon} samples, as many as A and C cover"),
-                "one more",
-            )),
-            _ => Ok(()),
-        }
+        self.model().check_horizon(k)
     }
 
     /// From x[k|k] and u to x[k+1|k].

@@ -95,6 +95,21 @@ impl Model {
         })
     }
 
+    /// Whether the plant has a sample k.
+    ///
+    /// # Errors
+    /// If A or C varies and does not cover it.
+    pub fn check_horizon(&self, k: usize) -> Result<()> {
+        match self.horizon {
+            Some(horizon) if k >= horizon => Err(Error::input(
+                "y",
+                format!("at most {horizon} samples, as many as A and C cover"),
+                "one more",
+            )),
+            _ => Ok(()),
+        }
+    }
+
     /// Hash of every number.
     #[must_use]
     pub fn fingerprint(&self) -> Fingerprint {

@@ -116,6 +116,7 @@ impl Ud {
     /// Become the factors of W diag(weights) Wᵀ, W (n, weights.len()) by rows; W is destroyed.
     ///
     /// `weighted` is scratch, (weights.len(),).
+    #[inline(always)]
     pub fn orthogonalise(&mut self, w: &mut [f64], weights: &[f64], weighted: &mut [f64]) {
         let (n, width) = (self.d.len(), weights.len());
         for j in (0..n).rev() {

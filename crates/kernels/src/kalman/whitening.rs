@@ -107,7 +107,8 @@ impl Whitening {
     }
 
     /// Row i of L from its first entry to its diagonal.
-    fn row(&self, i: usize) -> &[f64] {
+    #[must_use]
+    pub fn row(&self, i: usize) -> &[f64] {
         &self.entries[self.start[i]..self.start[i + 1]]
     }
 

@@ -1,0 +1,185 @@
+//! The information filter about a square root of the prior: what a belief becomes when channels count with precisions.
+//!
+//! With P⁻ = L Lᵀ, whitened channels y = C x + v, Var v = I, and Λ the precisions given to them:
+//!
+//! ```text
+//!     Z = C L,   J = I + Zᵀ Λ Z = Uᵀ U,   W = Z U⁻¹
+//!     x = x⁻ + L U⁻¹ Wᵀ η,   P = (L U⁻¹)(L U⁻¹)ᵀ,   C P Cᵀ = W Wᵀ,   det(I + Zᵀ Λ Z) = det(U)²
+//! ```
+//!
+//! No matrix is inverted but U, whose pivots are at least 1: a P⁻ that is singular or huge is as good as another.
+
+use crate::dense::{self, View, add_gram, eliminate, multiply};
+use crate::kalman::ud::Ud;
+use crate::linalg::{axpy, dot};
+
+/// A prior, the channels seen through it, and the latest precisions.
+#[derive(Debug, Clone)]
+pub struct Information {
+    n: usize,
+    /// Channels heard.
+    count: usize,
+    /// Lᵀ (n, n) by rows.
+    root: Vec<f64>,
+    /// Cᵀ (n, count) by rows.
+    c_t: Vec<f64>,
+    /// Z by rows, (count, n).
+    z: Vec<f64>,
+    /// Zᵀ by rows, (n, count).
+    z_t: Vec<f64>,
+    /// Λ½ Z by rows, only those that are not zero.
+    scaled: Vec<f64>,
+    /// [J | Zᵀ], then [U | Wᵀ], (n, n + count); or [J | Zᵀ η, Lᵀ].
+    work: Vec<f64>,
+}
+
+impl Information {
+    /// Room for n states and m channels.
+    #[must_use]
+    pub fn new(n: usize, m: usize) -> Self {
+        Self {
+            n,
+            count: 0,
+            root: vec![0.0; n * n],
+            c_t: vec![0.0; n * m],
+            z: vec![0.0; m * n],
+            z_t: vec![0.0; n * m],
+            scaled: Vec::with_capacity(m * n),
+            work: vec![0.0; n * (n + m.max(n + 1))],
+        }
+    }
+
+    /// Take a prior and the whitened rows of C that arrived, (count, n).
+    #[inline(always)]
+    pub fn see(&mut self, prior: &Ud, rows: &[f64]) {
+        let n = self.n;
+        self.count = rows.len() / n;
+        for (j, row) in self.root.chunks_exact_mut(n).enumerate() {
+            let deviation = prior.d[j].sqrt(); // L = U √D
+            for (target, u) in row[..j].iter_mut().zip(prior.column(j)) {
+                *target = deviation * u;
+            }
+            row[j] = deviation;
+            row[j + 1..].fill(0.0);
+        }
+        let z_t = &mut self.z_t[..n * self.count];
+        let c_t = &mut self.c_t[..n * self.count];
+        dense::transpose(rows, n, c_t);
+        multiply(View::rows(&self.root, n), n, c_t, self.count, z_t);
+        dense::transpose(z_t, self.count, &mut self.z[..n * self.count]);
+    }
+
+    /// Number of channels heard.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// Row i of Z.
+    #[inline(always)]
+    #[must_use]
+    pub fn z(&self, i: usize) -> &[f64] {
+        &self.z[i * self.n..(i + 1) * self.n]
+    }
+
+    /// Forget all precisions.
+    #[inline(always)]
+    pub fn clear(&mut self) {
+        self.scaled.clear();
+    }
+
+    /// Give channel i the precision factor².
+    #[inline(always)]
+    pub fn weigh(&mut self, factor: f64, i: usize) {
+        if factor != 0.0 {
+            let row = &self.z[i * self.n..(i + 1) * self.n];
+            self.scaled.extend(row.iter().map(|z| factor * z));
+        }
+    }
+
+    /// Give the channels from `first` on the precision f fᵀ.
+    #[inline(always)]
+    pub fn weigh_jointly(&mut self, f: &[f64], first: usize) {
+        let (n, begin) = (self.n, self.scaled.len());
+        self.scaled.resize(begin + n, 0.0);
+        for (offset, &factor) in f.iter().enumerate() {
+            axpy(factor, &self.z[(first + offset) * n..(first + offset + 1) * n], &mut self.scaled[begin..]);
+        }
+    }
+
+    /// [J | ·] with rows of length n + extra.
+    #[inline(always)]
+    fn set_up(&mut self, extra: usize) {
+        let (n, width) = (self.n, self.n + extra);
+        for (i, row) in self.work[..n * width].chunks_exact_mut(width).enumerate() {
+            row[..n].fill(0.0);
+            row[i] = 1.0;
+        }
+        add_gram(&self.scaled, n, &mut self.work, width);
+    }
+
+    /// U and W for the precisions given.
+    #[inline(always)]
+    pub fn update(&mut self) {
+        let (n, count) = (self.n, self.count);
+        self.set_up(count);
+        let rows = self.work[..n * (n + count)].chunks_exact_mut(n + count);
+        for (row, z) in rows.zip(self.z_t.chunks_exact(count.max(1))) {
+            row[n..].copy_from_slice(z);
+        }
+        eliminate(&mut self.work[..n * (n + count)], n, n + count);
+    }
+
+    /// Wᵀ by rows, (n, count).
+    #[inline(always)]
+    pub fn w_t(&self) -> impl Iterator<Item = &[f64]> {
+        let (n, width) = (self.n, self.n + self.count);
+        self.work[..n * width].chunks_exact(width).map(move |row| &row[n..])
+    }
+
+    /// `out` = W Wᵀ η, where the channels now are about where they were, and the diagonal of W Wᵀ.
+    #[inline(always)]
+    pub fn expect(&mut self, eta: &[f64], shift: &mut [f64], variance: &mut [f64]) {
+        shift.fill(0.0);
+        variance.fill(0.0);
+        let (n, width) = (self.n, self.n + self.count);
+        for row in self.work[..n * width].chunks_exact(width) {
+            let w = &row[n..];
+            let t = dot(w, eta);
+            for ((shift, variance), &w) in shift.iter_mut().zip(variance.iter_mut()).zip(w) {
+                *shift += t * w;
+                *variance += w * w;
+            }
+        }
+    }
+
+    /// log det(I + Zᵀ Λ Z) / 2 and |Wᵀ η|² / 2 after [`Information::update`].
+    #[must_use]
+    pub fn evidence(&self, eta: &[f64]) -> (f64, f64) {
+        let (n, width) = (self.n, self.n + self.count);
+        let rows = self.work[..n * width].chunks_exact(width).enumerate();
+        rows.fold((0.0, 0.0), |(log, square), (j, row)| {
+            let t = dot(&row[n..], eta);
+            (log + row[j].ln(), square + 0.5 * t * t)
+        })
+    }
+
+    /// The posterior for the precisions given: its root (L U⁻¹)ᵀ (n, n) by rows, and x − x⁻.
+    #[inline(always)]
+    pub fn conclude(&mut self, eta: &[f64], root: &mut [f64], shift: &mut [f64]) {
+        let (n, width) = (self.n, 2 * self.n + 1);
+        self.set_up(n + 1);
+        let rows = self.work[..n * width].chunks_exact_mut(width);
+        for (i, (row, from)) in rows.zip(self.root.chunks_exact(n)).enumerate() {
+            row[n] = dot(&self.z_t[i * self.count..(i + 1) * self.count], eta);
+            row[n + 1..].copy_from_slice(from);
+        }
+        eliminate(&mut self.work[..n * width], n, width);
+        shift.fill(0.0);
+        let rows = self.work[..n * width].chunks_exact(width);
+        for (row, root) in rows.zip(root.chunks_exact_mut(n)) {
+            root.copy_from_slice(&row[n + 1..]);
+            axpy(row[n], root, shift); // L U⁻¹ Wᵀ η
+        }
+    }
+}
