@@ -39,6 +39,7 @@ mod _kernels {
     use super::kernel::Kernel;
     #[pymodule_export]
     use super::mixture::innovation_mixture;
+    #[pymodule_export]
     use super::mixture_fusion::mixture_fusion;
     #[pymodule_export]
     use super::simulation::simulate;
