@@ -12,11 +12,11 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from benches import joint, kalman, lasso, machine, monte_carlo, sparse, table
+from benches import joint, kalman, lasso, machine, mixture, monte_carlo, sparse, table
 from benches.timing import Comparison, DisagreementError, Measurement, measure
 
 CASES: dict[str, Callable[[bool], Iterator[Comparison]]] = (
-    kalman.CASES | sparse.CASES | lasso.CASES | joint.CASES | monte_carlo.CASES
+    kalman.CASES | sparse.CASES | lasso.CASES | joint.CASES | mixture.CASES | monte_carlo.CASES
 )
 ROUNDS, QUICK_ROUNDS = 9, 3
 #: Columns of words, which may wrap; the others are numbers. Width of the table in a file or pipe.

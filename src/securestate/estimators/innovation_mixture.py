@@ -102,7 +102,7 @@ class InnovationMixture(Estimator):
         memory: str = "rate",
         merge: bool = True,
         kappa: float = 5.0,
-        forgetting: float = 0.97,
+        forgetting: float = 0.98,
         monitor: float | None = None,
         monitor_rate: float = 1e-4,
     ) -> None:

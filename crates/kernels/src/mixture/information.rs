@@ -123,9 +123,8 @@ impl Information {
     pub fn update(&mut self) {
         let (n, count) = (self.n, self.count);
         self.set_up(count);
-        let rows = self.work[..n * (n + count)].chunks_exact_mut(n + count);
-        for (row, z) in rows.zip(self.z_t.chunks_exact(count.max(1))) {
-            row[n..].copy_from_slice(z);
+        for (j, row) in self.work[..n * (n + count)].chunks_exact_mut(n + count).enumerate() {
+            row[n..].copy_from_slice(&self.z_t[j * count..(j + 1) * count]);
         }
         eliminate(&mut self.work[..n * (n + count)], n, n + count);
     }
