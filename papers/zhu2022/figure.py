@@ -60,7 +60,7 @@ def _states(axes: Axes, curves: Curves, attack: str, lines: Iterable[Line], titl
     for label, name, colour, dashes in lines:
         _line(axes, curves, path.estimates[name], colour, dashes, label)
     low, high = path.x.min(), path.x.max()
-    axes.set(ylabel="x", ylim=(low - 3, high + 3))
+    axes.set(ylabel="x", ylim=(low - 3, high + 5))
     _finish(axes, title)
 
 
