@@ -101,6 +101,21 @@ def test_settings_reach_the_estimator(command: Command, folder: Path) -> None:
     assert expected.diagnostics["fast_path"].mean() < 0.7
 
 
+def test_a_mixture_takes_its_settings_from_the_command_line(command: Command, folder: Path) -> None:
+    options = ("--epsilon", "none", "--init", "median", "--mean", "precision", "--cap", "40", "--start", "5")
+    end = command(*HONEST, "--method", "mixture", *options, "--feedback", "--out", "states.parquet")
+    assert end.code in (0, 3)
+    data = read_measurements(folder / "honest.csv", PLANT)
+    settings = {"init": "median", "mean": "precision", "cap": 40, "start": 5, "feedback": True}
+    expected = ss.MixtureFusion(PLANT, epsilon=None, **settings).run(data.y)  # type: ignore[arg-type]
+    table = pd.read_parquet(folder / "states.parquet")
+    np.testing.assert_array_equal(table[["x.x1", "x.x2"]], expected.x)
+    assert (
+        "epsilon: expected a number in [0, 1], or None"
+        in command(*HONEST, "--method", "mixture", "--epsilon", "half").err
+    )
+
+
 def test_quiet_prints_nothing_but_does_everything(command: Command, folder: Path) -> None:
     end = command(*LYING, "--quiet", "--out", "states.csv")
     assert end == (3, "", "")

@@ -391,6 +391,20 @@ def test_no_reading_leads_to_nan_or_an_exception(settings: dict[str, Any]) -> No
         assert not np.isnan(run.attack[~np.isnan(y)]).any()
 
 
+@pytest.mark.parametrize("settings", ALL_SETTINGS)
+def test_a_sensor_of_an_unstable_plant_may_be_silent_for_long(settings: dict[str, Any]) -> None:
+    sensors = [Sensor(f"s{i}", C=[1.0], R=1.0) for i in range(4)]
+    plant = Plant([[1.3]], [[1.0]], sensors, B=[[1.0]])
+    rng, T = np.random.default_rng(0), 3000
+    x, y, u = 0.0, np.empty((T, 4)), np.empty((T, 1))
+    for k in range(T):
+        y[k], u[k] = x + rng.normal(size=4), -1.2 * x
+        x = 1.3 * x + float(u[k, 0]) + rng.normal()
+    y[10:2900, 0] = np.nan  # its own filter alone would predict 1.3 ** 2890
+    run = MixtureFusion(plant, **settings).run(y, u)
+    assert np.isfinite(run.x).all() and not np.isnan(run.trust[2900:]).any()
+
+
 def test_the_literal_form_explodes_and_comes_back() -> None:
     plant = golden_plant()
     y = np.random.default_rng(0).normal(size=(3000, 7))
@@ -464,6 +478,7 @@ def test_without_a_steady_state_a_prior_is_asked_for() -> None:
 
 
 def test_settings_say_what_was_chosen() -> None:
+    assert MixtureFusion(golden_plant(), epsilon="none").settings["epsilon"] is None
     assert MixtureFusion(golden_plant()).settings == {
         "epsilon": 0.5,
         "init": "split",

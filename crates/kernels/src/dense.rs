@@ -1,33 +1,55 @@
 //! Products and eliminations of matrices too large for plain loops: tiles of four rows that stay in registers.
 //!
-//! Every function is inlined into its caller, so that a caller compiled for AVX2 (see [`Vectorised`]) gets it in AVX2.
-//! No operation is fused and every sum keeps its order: the bits are the same on every processor.
+//! Every function is inlined into its caller, so that a caller compiled for AVX2 (see [`Arithmetic`]) gets it in AVX2.
+//! Tiles multiply and add in one operation where the processor has it: there the last bits differ from other machines.
 
 use pulp::{Arch, Simd, WithSimd};
 
 /// Rows of a tile.
 const ROWS: usize = 4;
 
-/// Work that is compiled for AVX2 too and runs so where the processor can.
-pub trait Vectorised {
+/// What the processor at hand can do.
+#[derive(Debug, Clone, Copy)]
+pub struct Arithmetic {
+    arch: Arch,
+    /// It multiplies and adds in one operation.
+    fused: bool,
+}
+
+impl Default for Arithmetic {
+    fn default() -> Self {
+        struct Fused;
+        impl WithSimd for Fused {
+            type Output = bool;
+            #[inline(always)]
+            fn with_simd<S: Simd>(self, _: S) -> bool {
+                !S::IS_SCALAR
+            }
+        }
+        let arch = Arch::new();
+        Self { arch, fused: arch.dispatch(Fused) }
+    }
+}
+
+impl Arithmetic {
+    /// Do `work` compiled for this processor.
+    pub fn run<W: Work>(self, work: W) -> W::Output {
+        self.arch.dispatch(Dispatched(work))
+    }
+}
+
+/// Work that is compiled once more for AVX2.
+pub trait Work {
     /// What it returns.
     type Output;
 
     /// The work; must be `#[inline(always)]`.
     fn run(self) -> Self::Output;
-
-    /// Do it.
-    fn vectorised(self, arch: Arch) -> Self::Output
-    where
-        Self: Sized,
-    {
-        arch.dispatch(Dispatched(self))
-    }
 }
 
 struct Dispatched<W>(W);
 
-impl<W: Vectorised> WithSimd for Dispatched<W> {
+impl<W: Work> WithSimd for Dispatched<W> {
     type Output = W::Output;
 
     #[inline(always)]
@@ -36,79 +58,65 @@ impl<W: Vectorised> WithSimd for Dispatched<W> {
     }
 }
 
-/// A matrix as numbers with the distance of its rows and of its columns.
-#[derive(Debug, Clone, Copy)]
-pub struct View<'a> {
-    /// The numbers.
-    pub data: &'a [f64],
-    /// Distance between rows.
-    pub row: usize,
-    /// Distance between columns.
-    pub column: usize,
-}
-
-impl<'a> View<'a> {
-    /// Rows one after the other, each `width` long.
-    #[must_use]
-    pub fn rows(data: &'a [f64], width: usize) -> Self {
-        Self { data, row: width, column: 1 }
-    }
-
-    /// Its transpose.
-    #[must_use]
-    pub fn transposed(self) -> Self {
-        Self { row: self.column, column: self.row, ..self }
-    }
-}
-
-/// Σ_l a(i + r, l) b_l[c..c + C] for r < 4, l < depth; `b` has rows of length `width`.
+/// Σ_l a_l[i + r] b_l[c..c + C] for r < 4: the rows l of two matrices of rows `a_width` and `b_width` long.
 #[inline(always)]
-fn tile<const C: usize>(
-    a: View<'_>,
-    i: usize,
-    b: &[f64],
-    width: usize,
-    c: usize,
+fn tile<const C: usize, const FUSED: bool>(
+    (a, a_width, i): (&[f64], usize, usize),
+    (b, b_width, c): (&[f64], usize, usize),
     depth: usize,
 ) -> [[f64; C]; ROWS] {
     let mut sum = [[0.0; C]; ROWS];
     for l in 0..depth {
-        let Some(b) = b.get(l * width + c..).and_then(|b| b.first_chunk::<C>()) else { break };
-        for (r, sum) in sum.iter_mut().enumerate() {
-            let factor = a.data[(i + r) * a.row + l * a.column];
-            for (target, value) in sum.iter_mut().zip(b) {
-                *target += factor * value;
+        let a = a.get(l * a_width + i..).and_then(|a| a.first_chunk::<ROWS>());
+        let b = b.get(l * b_width + c..).and_then(|b| b.first_chunk::<C>());
+        let (Some(a), Some(b)) = (a, b) else { break };
+        for (sum, &factor) in sum.iter_mut().zip(a) {
+            for (target, &value) in sum.iter_mut().zip(b) {
+                *target = if FUSED { factor.mul_add(value, *target) } else { *target + factor * value };
             }
         }
     }
     sum
 }
 
-/// `out`[i..i + 4, from..to] += sign · A[i..i + 4, ..depth] B, all of row length `width` but A.
+/// Columns `from..to` of `out`, four rows of length b_width, += sign · A[i..i + 4] B, A given by its transpose.
 #[inline(always)]
 fn four_rows(
+    arithmetic: Arithmetic,
     sign: f64,
-    a: View<'_>,
-    i: usize,
-    b: &[f64],
-    (width, depth): (usize, usize),
-    (from, to): (usize, usize),
+    a: (&[f64], usize, usize),
+    (b, b_width): (&[f64], usize),
+    (from, to, depth): (usize, usize, usize),
     out: &mut [f64],
+    width: usize,
+) {
+    if arithmetic.fused {
+        four_rows_by::<true>(sign, a, (b, b_width), (from, to, depth), out, width);
+    } else {
+        four_rows_by::<false>(sign, a, (b, b_width), (from, to, depth), out, width);
+    }
+}
+
+#[inline(always)]
+fn four_rows_by<const FUSED: bool>(
+    sign: f64,
+    a: (&[f64], usize, usize),
+    (b, b_width): (&[f64], usize),
+    (from, to, depth): (usize, usize, usize),
+    out: &mut [f64],
+    width: usize,
 ) {
     let mut c = from;
     while c + 8 <= to {
-        let sum = tile::<8>(a, i, b, width, c, depth);
-        add(sign, &sum, c, width, out);
+        add(sign, &tile::<8, FUSED>(a, (b, b_width, c), depth), c, width, out);
         c += 8;
     }
     if c + 4 <= to {
-        let sum = tile::<4>(a, i, b, width, c, depth);
-        add(sign, &sum, c, width, out);
+        add(sign, &tile::<4, FUSED>(a, (b, b_width, c), depth), c, width, out);
         c += 4;
     }
     while c < to {
-        let sum = tile::<1>(a, i, b, width, c, depth);
-        add(sign, &sum, c, width, out);
+        add(sign, &tile::<1, FUSED>(a, (b, b_width, c), depth), c, width, out);
         c += 1;
     }
 }
@@ -129,45 +137,32 @@ fn add_row(factor: f64, row: &[f64], out: &mut [f64]) {
     }
 }
 
-/// `out` = A B: A (rows, depth), B (depth, width) and `out` (rows, width) by rows.
+/// `out` (rows, width) = A B, all by rows: A by its transpose (depth, rows), B (depth, width).
 #[inline(always)]
-pub fn multiply(a: View<'_>, depth: usize, b: &[f64], width: usize, out: &mut [f64]) {
+pub fn multiply(arithmetic: Arithmetic, a_t: &[f64], rows: usize, b: &[f64], width: usize, out: &mut [f64]) {
     out.fill(0.0);
-    let rows = out.len().checked_div(width).unwrap_or(0);
+    let depth = a_t.len().checked_div(rows).unwrap_or(0);
     let mut i = 0;
     while i + ROWS <= rows {
-        four_rows(1.0, a, i, b, (width, depth), (0, width), &mut out[i * width..(i + ROWS) * width]);
+        let target = &mut out[i * width..(i + ROWS) * width];
+        four_rows(arithmetic, 1.0, (a_t, rows, i), (b, width), (0, width, depth), target, width);
         i += ROWS;
     }
     for i in i..rows {
         let target = &mut out[i * width..(i + 1) * width];
         for l in 0..depth {
-            add_row(a.data[i * a.row + l * a.column], &b[l * width..(l + 1) * width], target);
+            add_row(a_t[l * rows + i], &b[l * width..(l + 1) * width], target);
         }
     }
 }
 
 /// The upper triangle of `out` (n, stride) += Sᵀ S, S (rows, n).
 #[inline(always)]
-pub fn add_gram(s: &[f64], n: usize, out: &mut [f64], stride: usize) {
+pub fn add_gram(arithmetic: Arithmetic, s: &[f64], n: usize, out: &mut [f64], stride: usize) {
     let rows = s.len() / n;
-    let a = View::rows(s, n).transposed();
     let mut i = 0;
     while i + ROWS <= n {
-        let target = &mut out[i * stride..];
-        let mut c = i;
-        while c + 8 <= n {
-            add(1.0, &tile::<8>(a, i, s, n, c, rows), c, stride, target);
-            c += 8;
-        }
-        if c + 4 <= n {
-            add(1.0, &tile::<4>(a, i, s, n, c, rows), c, stride, target);
-            c += 4;
-        }
-        while c < n {
-            add(1.0, &tile::<1>(a, i, s, n, c, rows), c, stride, target);
-            c += 1;
-        }
+        four_rows(arithmetic, 1.0, (s, n, i), (s, n), (i, n, rows), &mut out[i * stride..], stride);
         i += ROWS;
     }
     for row in s.chunks_exact(n) {
@@ -180,12 +175,12 @@ pub fn add_gram(s: &[f64], n: usize, out: &mut [f64], stride: usize) {
 /// From [J | B] (n, width), J symmetric positive definite and given by its upper triangle, to [U | U⁻ᵀ B] with
 /// J = Uᵀ U, U upper triangular.
 #[inline(always)]
-pub fn eliminate(work: &mut [f64], n: usize, width: usize) {
+pub fn eliminate(arithmetic: Arithmetic, work: &mut [f64], n: usize, width: usize) {
     let mut j = 0;
     while j + ROWS <= n {
         let (done, rest) = work.split_at_mut(j * width);
         let rows = &mut rest[..ROWS * width];
-        four_rows(-1.0, View::rows(done, width).transposed(), j, done, (width, j), (j, width), rows);
+        four_rows(arithmetic, -1.0, (done, width, j), (done, width), (j, width, j), rows, width);
         for r in 0..ROWS {
             let (above, row) = rows.split_at_mut(r * width);
             finish(above, j, r, &mut row[..width]);
@@ -209,13 +204,17 @@ fn finish(above: &[f64], first: usize, count: usize, row: &mut [f64]) {
     row[j..].iter_mut().for_each(|value| *value *= inverse);
 }
 
-/// `out` (columns, rows) = Aᵀ of A (rows, columns).
+/// `out` (columns, rows) = Aᵀ of A (rows, columns), a few rows at a time so that what is written stays together.
 #[inline(always)]
 pub fn transpose(a: &[f64], columns: usize, out: &mut [f64]) {
+    const BLOCK: usize = 8;
     let rows = a.len().checked_div(columns).unwrap_or(0);
-    for (i, row) in a.chunks_exact(columns.max(1)).enumerate() {
-        for (j, &value) in row.iter().enumerate() {
-            out[j * rows + i] = value;
+    for from in (0..rows).step_by(BLOCK) {
+        let to = (from + BLOCK).min(rows);
+        for j in 0..columns {
+            for (i, target) in out[j * rows + from..j * rows + to].iter_mut().enumerate() {
+                *target = a[(from + i) * columns + j];
+            }
         }
     }
 }
@@ -234,12 +233,15 @@ mod tests {
 
     #[test]
     fn products_of_every_size_equal_the_sums_that_define_them() {
+        let arithmetic = Arithmetic::default();
         for rows in 1..11 {
             for width in 1..20 {
                 let depth = 1 + (rows * width) % 7;
                 let (a, b) = (numbers(rows * depth, 1), numbers(depth * width, 2));
                 let mut out = vec![7.0; rows * width];
-                multiply(View::rows(&a, depth), depth, &b, width, &mut out);
+                let mut a_t = vec![0.0; a.len()];
+                transpose(&a, depth, &mut a_t);
+                multiply(arithmetic, &a_t, rows, &b, width, &mut out);
                 for i in 0..rows {
                     for c in 0..width {
                         let sum: f64 = (0..depth).map(|l| a[i * depth + l] * b[l * width + c]).sum();
@@ -252,6 +254,7 @@ mod tests {
 
     #[test]
     fn elimination_of_every_size_solves_the_triangular_system() {
+        let arithmetic = Arithmetic::default();
         for n in 1..15 {
             for extra in [0, 1, 3, 8, 17] {
                 let width = n + extra;
@@ -261,9 +264,9 @@ mod tests {
                     work[i * width + i] = 1.0;
                     work[i * width + n..(i + 1) * width].copy_from_slice(&b[i * extra..(i + 1) * extra]);
                 }
-                add_gram(&s, n, &mut work, width);
+                add_gram(arithmetic, &s, n, &mut work, width);
                 let j = work.clone();
-                eliminate(&mut work, n, width);
+                eliminate(arithmetic, &mut work, n, width);
                 for a in 0..n {
                     for c in a..width {
                         // Uᵀ [U | U⁻ᵀ B] = [J | B]

@@ -52,6 +52,29 @@ class OnAlarm(StrEnum):
     DROP_WORST = "drop-worst"
 
 
+class Init(StrEnum):
+    """Where the mean of the honest component starts."""
+
+    SPLIT = "split"
+    MEDIAN = "median"
+    MEAN = "mean"
+    PREDICTION = "prediction"
+
+
+class Mean(StrEnum):
+    """How the points of the honest component are averaged."""
+
+    PRINTED = "printed"
+    PRECISION = "precision"
+
+
+class Floor(StrEnum):
+    """What keeps the covariance of the attacked component away from zero."""
+
+    PRINTED = "printed"
+    PRIOR = "prior"
+
+
 def _known(name: str) -> str:
     if name not in METHODS:
         raise typer.BadParameter(f"{name!r} is none of {', '.join(METHODS)}")
@@ -96,9 +119,7 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(
-            help="how often a sample of an honest sensor raises an alarm; not for kalman and sparse."
-        ),
+        typer.Option(help="how often an honest sample raises an alarm; not for kalman, mixture and sparse."),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
@@ -132,6 +153,38 @@ def estimate(
     square_root: Annotated[
         bool | None,
         typer.Option("--square-root", help="joint: keep covariances as factors.", show_default=False),
+    ] = None,
+    epsilon: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SHARE|none",
+            help="mixture: mean belief in an attack above which all beliefs are swapped (default: 0.5).",
+        ),
+    ] = None,
+    init: Annotated[
+        Init | None, typer.Option(help="mixture: where the honest mean starts (default: split).")
+    ] = None,
+    literal: Annotated[
+        bool | None,
+        typer.Option("--literal", help="mixture: (22d) as printed; errors explode.", show_default=False),
+    ] = None,
+    start: Annotated[
+        int | None, typer.Option(help="mixture: samples before which everybody is believed (default: 0).")
+    ] = None,
+    mean: Annotated[
+        Mean | None, typer.Option(help="mixture: the honest mean as printed (default) or precision-weighted.")
+    ] = None,
+    floor: Annotated[
+        Floor | None, typer.Option(help="mixture: least covariance of the attacked (default: printed).")
+    ] = None,
+    feedback: Annotated[
+        bool | None,
+        typer.Option(
+            "--feedback", help="mixture: local filters start from the fused prediction.", show_default=False
+        ),
+    ] = None,
+    cap: Annotated[
+        int | None, typer.Option(help="mixture: iterations per sample at most (default: 100).")
     ] = None,
     allow_missing: Annotated[
         bool, typer.Option("--allow-missing", help="Channels without a column count as missing throughout.")
@@ -173,6 +226,14 @@ def estimate(
         "protected": None if protected is None else protected.value,
         "fusion": None if fusion is None else fusion.value,
         "square_root": square_root or None,
+        "epsilon": None if epsilon is None else _number_or_word(epsilon),
+        "init": None if init is None else init.value,
+        "literal": literal or None,
+        "start": start,
+        "mean": None if mean is None else mean.value,
+        "floor": None if floor is None else floor.value,
+        "feedback": feedback or None,
+        "cap": cap,
     }
     return run_order(
         Order(

@@ -12,8 +12,8 @@ References:
     Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022), Algorithm 1; epsilon=None is the method
     of Guo, Shi, Quevedo, Shi 2019 (guo2019).
 Deviations from the paper:
-    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error, by -30
-      in the example of the paper; gammahat goes into both. literal=True is (22d) as printed.
+    * (22d) is printed with gamma, (22c) with gammahat. Where the two differ that multiplies the error, by
+      about -30 in the example of the paper; gammahat goes into both. literal=True is (22d) as printed.
     * (7) and (8) mean P^- of sample k, not k - 1; the second factor of (19) lacks its hat.
     * Not in the paper: where pi and mu_1 start (`init`), when the iteration stops, what bounds Sigma_2 from
       below (`floor`), inputs, missing channels, a Pbar_i without an inverse.
@@ -59,7 +59,7 @@ class MixtureFusion(Estimator):
             `start` need a prior with a covariance P.
         epsilon: above this mean belief in an attack the two components are taken to be confused, and all
             beliefs are swapped, in [0, 1]. It should be at least the share of sensors that may be attacked.
-            None: never, as Guo et al. 2019 have it.
+            None, or "none" in files: never, as Guo et al. 2019 have it.
         init: where mu_1 starts. "split": one standard deviation of the estimates from their mean along the
             direction in which they differ most, mu_2 opposite; mu_1 is smaller in the state that this
             direction is closest to. "median": state by state. "mean". "prediction": x[k|k-1]. mu_2 is
@@ -123,7 +123,7 @@ class MixtureFusion(Estimator):
         self,
         plant: Plant,
         *,
-        epsilon: float | None = 0.5,
+        epsilon: float | Literal["none"] | None = 0.5,
         init: Literal["split", "median", "mean", "prediction"] = "split",
         literal: bool = False,
         start: int = 0,
@@ -134,7 +134,7 @@ class MixtureFusion(Estimator):
     ) -> None:
         self.steady, self.no_steady_state = steady_or_reason(plant)
         settings: dict[str, object] = {
-            "epsilon": (epsilon := _checked_epsilon(epsilon)),
+            "epsilon": (threshold := _checked_epsilon(epsilon)),
             "init": _one_of("init", init, INITS),
             "literal": yes_or_no("literal", literal, InputError),
             "start": whole_number("start", start, 0, InputError),
@@ -148,7 +148,7 @@ class MixtureFusion(Estimator):
             plant,
             prior_covariance(self.steady),
             None if feedback else local_priors(plant),
-            epsilon=epsilon,
+            epsilon=threshold,
             literal=literal,
             start=int(start),
             init=init,
@@ -160,7 +160,7 @@ class MixtureFusion(Estimator):
 
 
 def _checked_epsilon(value: object) -> float | None:
-    if value is None:
+    if value is None or (isinstance(value, str) and value == "none"):
         return None
     if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= 1:
         raise InputError("epsilon", "a number in [0, 1], or None", repr(value))

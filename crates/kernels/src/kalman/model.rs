@@ -122,6 +122,12 @@ impl Model {
         at(&self.a, k, self.dims.states * self.dims.states)
     }
 
+    /// Aᵀ at sample k, (n, n).
+    #[must_use]
+    pub fn a_t(&self, k: usize) -> &[f64] {
+        at(&self.a_t, k, self.dims.states * self.dims.states)
+    }
+
     /// C at sample k, (m, n).
     #[must_use]
     pub fn c(&self, k: usize) -> &[f64] {
@@ -155,7 +161,7 @@ impl Model {
     /// `out` = A x + B u.
     pub fn predict(&self, k: usize, x: &[f64], u: &[f64], out: &mut [f64]) {
         out.fill(0.0);
-        add_product(1.0, at(&self.a_t, k, x.len() * x.len()), x, out);
+        add_product(1.0, self.a_t(k), x, out);
         add_product(1.0, &self.b_t, u, out);
     }
 

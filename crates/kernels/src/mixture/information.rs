@@ -9,18 +9,20 @@
 //!
 //! No matrix is inverted but U, whose pivots are at least 1: a P⁻ that is singular or huge is as good as another.
 
-use crate::dense::{self, View, add_gram, eliminate, multiply};
+use crate::dense::{self, Arithmetic, add_gram, eliminate, multiply};
 use crate::kalman::ud::Ud;
 use crate::linalg::{axpy, dot};
 
 /// A prior, the channels seen through it, and the latest precisions.
 #[derive(Debug, Clone)]
 pub struct Information {
+    arithmetic: Arithmetic,
     n: usize,
     /// Channels heard.
     count: usize,
-    /// Lᵀ (n, n) by rows.
+    /// L (n, n) by rows, and its transpose.
     root: Vec<f64>,
+    root_t: Vec<f64>,
     /// Cᵀ (n, count) by rows.
     c_t: Vec<f64>,
     /// Z by rows, (count, n).
@@ -36,11 +38,13 @@ pub struct Information {
 impl Information {
     /// Room for n states and m channels.
     #[must_use]
-    pub fn new(n: usize, m: usize) -> Self {
+    pub fn new(arithmetic: Arithmetic, n: usize, m: usize) -> Self {
         Self {
+            arithmetic,
             n,
             count: 0,
             root: vec![0.0; n * n],
+            root_t: vec![0.0; n * n],
             c_t: vec![0.0; n * m],
             z: vec![0.0; m * n],
             z_t: vec![0.0; n * m],
@@ -54,7 +58,7 @@ impl Information {
     pub fn see(&mut self, prior: &Ud, rows: &[f64]) {
         let n = self.n;
         self.count = rows.len() / n;
-        for (j, row) in self.root.chunks_exact_mut(n).enumerate() {
+        for (j, row) in self.root_t.chunks_exact_mut(n).enumerate() {
             let deviation = prior.d[j].sqrt(); // L = U √D
             for (target, u) in row[..j].iter_mut().zip(prior.column(j)) {
                 *target = deviation * u;
@@ -62,10 +66,11 @@ impl Information {
             row[j] = deviation;
             row[j + 1..].fill(0.0);
         }
+        dense::transpose(&self.root_t, n, &mut self.root);
         let z_t = &mut self.z_t[..n * self.count];
         let c_t = &mut self.c_t[..n * self.count];
         dense::transpose(rows, n, c_t);
-        multiply(View::rows(&self.root, n), n, c_t, self.count, z_t);
+        multiply(self.arithmetic, &self.root, n, c_t, self.count, z_t); // Zᵀ = Lᵀ Cᵀ
         dense::transpose(z_t, self.count, &mut self.z[..n * self.count]);
     }
 
@@ -115,7 +120,7 @@ impl Information {
             row[..n].fill(0.0);
             row[i] = 1.0;
         }
-        add_gram(&self.scaled, n, &mut self.work, width);
+        add_gram(self.arithmetic, &self.scaled, n, &mut self.work, width);
     }
 
     /// U and W for the precisions given.
@@ -126,7 +131,7 @@ impl Information {
         for (j, row) in self.work[..n * (n + count)].chunks_exact_mut(n + count).enumerate() {
             row[n..].copy_from_slice(&self.z_t[j * count..(j + 1) * count]);
         }
-        eliminate(&mut self.work[..n * (n + count)], n, n + count);
+        eliminate(self.arithmetic, &mut self.work[..n * (n + count)], n, n + count);
     }
 
     /// Wᵀ by rows, (n, count).
@@ -169,11 +174,11 @@ impl Information {
         let (n, width) = (self.n, 2 * self.n + 1);
         self.set_up(n + 1);
         let rows = self.work[..n * width].chunks_exact_mut(width);
-        for (i, (row, from)) in rows.zip(self.root.chunks_exact(n)).enumerate() {
+        for (i, (row, from)) in rows.zip(self.root_t.chunks_exact(n)).enumerate() {
             row[n] = dot(&self.z_t[i * self.count..(i + 1) * self.count], eta);
             row[n + 1..].copy_from_slice(from);
         }
-        eliminate(&mut self.work[..n * width], n, width);
+        eliminate(self.arithmetic, &mut self.work[..n * width], n, width);
         shift.fill(0.0);
         let rows = self.work[..n * width].chunks_exact(width);
         for (row, root) in rows.zip(root.chunks_exact_mut(n)) {

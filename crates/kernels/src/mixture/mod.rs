@@ -21,10 +21,8 @@ mod report;
 pub mod sample;
 pub mod settings;
 
-use pulp::Arch;
-
 use crate::codec::{Decoder, Encoder};
-use crate::dense::Vectorised;
+use crate::dense::{self, Arithmetic};
 use crate::kalman::heard::Heard;
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
@@ -59,7 +57,7 @@ pub struct Mixture {
     noise: Noise,
     settings: Settings,
     steady: Option<Ud>,
-    arch: Arch,
+    arithmetic: Arithmetic,
     /// Sum of the squares of the sensors' channels, and the most channels of one.
     blocks: usize,
     widest: usize,
@@ -118,7 +116,7 @@ impl Mixture {
         settings.check(widest, model.dims.sensors)?;
         let steady = steady.map(|p| Ud::new("prior covariance", p, n)).transpose()?;
         let blocks = sizes.iter().map(|size| size * size).sum();
-        Ok(Self { noise, settings, steady, arch: Arch::new(), blocks, widest, model })
+        Ok(Self { noise, settings, steady, arithmetic: Arithmetic::default(), blocks, widest, model })
     }
 
     fn state(&self, mean: Vec<f64>, prior: Ud) -> State {
@@ -129,10 +127,10 @@ impl Mixture {
             complete: false,
             sample: Sample::new(m, sensors),
             odds: Prior::new(sensors),
-            information: Information::new(n, m),
+            information: Information::new(self.arithmetic, n, m),
             scratch: Scratch::new(m, self.widest),
             starts: vec![labels; STARTS + 1],
-            posterior: Posterior::new(&self.model),
+            posterior: Posterior::new(self.arithmetic, &self.model),
             next: vec![0.0; n],
             gamma: vec![0.0; sensors],
             innovation: vec![0.0; m],
@@ -325,7 +323,7 @@ struct Step<'a, 'b> {
     out: &'a mut Output<'b>,
 }
 
-impl Vectorised for Step<'_, '_> {
+impl dense::Work for Step<'_, '_> {
     type Output = ();
 
     #[inline(always)]
@@ -360,7 +358,7 @@ impl Estimator for Mixture {
 
     fn step(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) -> Result<()> {
         self.model.check_horizon(state.k)?;
-        Step { of: self, state, y, u, out }.vectorised(self.arch);
+        self.arithmetic.run(Step { of: self, state, y, u, out });
         Ok(())
     }
 

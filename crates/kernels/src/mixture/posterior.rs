@@ -1,6 +1,6 @@
 //! The estimate after the labels are known, and how it moves on.
 
-use crate::dense::{View, add_gram, multiply, transpose};
+use crate::dense::{Arithmetic, add_gram, multiply, transpose};
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
 use crate::mixture::information::Information;
@@ -8,6 +8,7 @@ use crate::mixture::information::Information;
 /// P = Fᵀ F with rows of F, and x − x⁻.
 #[derive(Debug, Clone)]
 pub struct Posterior {
+    arithmetic: Arithmetic,
     n: usize,
     /// Rows of F in use.
     rows: usize,
@@ -27,10 +28,11 @@ pub struct Posterior {
 impl Posterior {
     /// Room for a plant.
     #[must_use]
-    pub fn new(model: &Model) -> Self {
+    pub fn new(arithmetic: Arithmetic, model: &Model) -> Self {
         let (n, noise) = (model.dims.states, model.q.len());
         let rows = 2 * n + 1;
         Self {
+            arithmetic,
             n,
             rows: n,
             root: vec![0.0; rows * n],
@@ -53,6 +55,7 @@ impl Posterior {
     }
 
     /// Take in another labelling, whose sites `information` now holds, with the given weight.
+    #[inline(always)]
     pub fn merge(&mut self, information: &mut Information, eta: &[f64], weight: f64) -> f64 {
         let n = self.n;
         self.rows = 2 * n + 1;
@@ -86,7 +89,7 @@ impl Posterior {
         deviations.iter_mut().for_each(|variance| *variance = variance.sqrt());
         let Some(covariance) = covariance else { return };
         self.product.fill(0.0);
-        add_gram(&self.root[..self.rows * n], n, &mut self.product, n);
+        add_gram(self.arithmetic, &self.root[..self.rows * n], n, &mut self.product, n);
         for i in 0..n {
             for j in i..n {
                 covariance[i * n + j] = self.product[i * n + j];
@@ -103,7 +106,7 @@ impl Posterior {
         let turned = &mut self.turned[..rows * n];
         transpose(&self.root[..rows * n], n, turned);
         let moved = &mut self.moved[..rows * n];
-        multiply(View::rows(model.a(k), n), n, turned, rows, moved);
+        multiply(self.arithmetic, model.a_t(k), n, turned, rows, moved);
         self.weights[..rows].fill(1.0);
         self.weights[rows..width].copy_from_slice(&model.q);
         let stack = &mut self.stack[..n * width];

@@ -15,6 +15,7 @@ const CLIP: f64 = 4.0;
 
 impl Mixture {
     /// Average what the others do not expect of every sensor, and withdraw belief where that is too far from nothing.
+    #[inline(always)]
     pub(super) fn monitor(&self, past: &mut Past, work: &mut Work, winner: usize) {
         let Some(forgetting) = self.settings.monitor else { return };
         self.leave_out(work, winner);
@@ -43,6 +44,7 @@ impl Mixture {
     }
 
     /// W for the winner's sites.
+    #[inline(always)]
     fn leave_out(&self, work: &mut Work, winner: usize) {
         let Work { sample, information, scratch, starts, .. } = work;
         let count = information.count();
@@ -116,6 +118,7 @@ impl Mixture {
     }
 
     /// What every distrusted sensor sent, less what the others expect of it.
+    #[inline(always)]
     fn estimate_attacks(&self, work: &mut Work, winner: usize, out: &mut Output<'_>) {
         self.leave_out(work, winner);
         let Work { heard, sample, information, scratch, starts, innovation, gamma, .. } = work;

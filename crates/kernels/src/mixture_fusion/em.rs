@@ -99,8 +99,9 @@ pub struct Mixture {
     attacked: Vec<f64>,
     weights: [f64; 2],
     mean: [Vec<f64>; 2],
-    /// Σ₂, (n, n), and its Cholesky factor.
+    /// Σ₂, (n, n).
     spread: Vec<f64>,
+    /// Its Cholesky factor; one over it in one dimension.
     factor: Vec<f64>,
     /// What is added to the diagonal of Σ₂ whatever it is, (n,).
     floor: Vec<f64>,
@@ -239,7 +240,8 @@ impl Mixture {
             let attacked = second - 0.5 * distance(&self.factor, &mut self.vector);
             let odds = attacked - honest;
             let ratio = (-odds.abs()).exp();
-            let (larger, smaller) = (1.0 / (1.0 + ratio), ratio / (1.0 + ratio));
+            let larger = 1.0 / (1.0 + ratio);
+            let smaller = ratio * larger;
             (self.honest[j], self.attacked[j]) =
                 if odds > 0.0 { (smaller, larger) } else { (larger, smaller) };
             likelihood += honest.max(attacked);
@@ -254,8 +256,9 @@ impl Mixture {
         let trace: f64 = self.spread.iter().step_by(n + 1).sum();
         let added = if rules.prior_floor { 0.0 } else { FLOOR * trace.max(1.0) };
         if n == 1 {
-            let variance = self.spread[0] + self.floor[0] + added;
-            self.factor[0] = variance.sqrt();
+            let sum = self.spread[0] + self.floor[0] + added;
+            let variance = if sum == 0.0 { FLOOR } else { sum };
+            self.factor[0] = 1.0 / variance.sqrt();
             return variance.ln();
         }
         let mut more = 0.0;
@@ -296,12 +299,12 @@ impl Mixture {
 
     /// Σ₂ about μ₂.
     fn scatter(&mut self, total: f64) {
-        let (n, count) = (self.n, self.count);
+        let (n, count, share) = (self.n, self.count, 1.0 / total);
         self.spread.fill(0.0);
         for (point, &weight) in self.points[..count * n].chunks_exact(n).zip(&self.attacked) {
             difference(point, &self.mean[1], &mut self.vector);
             for (row, &value) in self.spread.chunks_exact_mut(n).zip(&self.vector) {
-                axpy(weight / total * value, &self.vector, row);
+                axpy(weight * share * value, &self.vector, row);
             }
         }
     }
@@ -309,6 +312,16 @@ impl Mixture {
     /// μ₁ as the maximiser of the expected likelihood.
     fn precise_mean(&mut self, known: &Known) {
         let (n, count) = (self.n, self.count);
+        if n == 1 {
+            let (mut total, mut sum) = (0.0, 0.0);
+            for (j, point) in self.points[..count].iter().enumerate() {
+                let weight = self.honest[j] * known.precision(self.who[j])[0];
+                total += weight;
+                sum += weight * point;
+            }
+            self.mean[0][0] = sum / total;
+            return;
+        }
         self.matrix.fill(0.0);
         self.vector.fill(0.0);
         for (j, point) in self.points[..count * n].chunks_exact(n).enumerate() {
@@ -318,9 +331,7 @@ impl Mixture {
                 *target += weight * dot(row, point);
             }
         }
-        if n == 1 {
-            self.mean[0][0] = self.vector[0] / self.matrix[0];
-        } else if cholesky(&mut self.matrix, n, n, 0.0).is_ok() {
+        if cholesky(&mut self.matrix, n, n, 0.0).is_ok() {
             cholesky_solve(&self.matrix, n, &mut self.vector);
             self.mean[0].copy_from_slice(&self.vector);
         }
@@ -333,10 +344,10 @@ fn difference(a: &[f64], b: &[f64], out: &mut [f64]) {
     }
 }
 
-/// dᵀ (L Lᵀ)⁻¹ d; d is destroyed.
+/// dᵀ (L Lᵀ)⁻¹ d, where `factor` is L, or 1/L in one dimension; d is destroyed.
 fn distance(factor: &[f64], d: &mut [f64]) -> f64 {
     if let [value] = d {
-        let part = *value / factor[0];
+        let part = *value * factor[0];
         return part * part;
     }
     forward_solve(factor, d.len(), d);
@@ -347,8 +358,9 @@ fn distance(factor: &[f64], d: &mut [f64]) -> f64 {
 fn average(points: &[f64], weights: &[f64], total: f64, out: &mut [f64]) {
     out.fill(0.0);
     for (point, weight) in points.chunks_exact(out.len()).zip(weights) {
-        axpy(weight / total, point, out);
+        axpy(*weight, point, out);
     }
+    out.iter_mut().for_each(|value| *value /= total);
 }
 
 #[cfg(test)]

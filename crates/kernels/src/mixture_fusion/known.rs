@@ -94,6 +94,10 @@ impl Known {
     /// dᵀ P_i⁻¹ d
     #[must_use]
     pub fn distance(&self, i: usize, d: &[f64]) -> f64 {
+        if let [value] = d {
+            let part = self.root[i] * value;
+            return part * part;
+        }
         let n = self.n;
         let root = self.root[i * n * n..(i + 1) * n * n].chunks_exact(n);
         root.enumerate().map(|(j, row)| dot(&row[j..], &d[j..])).map(|part| part * part).sum()

@@ -8,8 +8,9 @@
 //!     5  predict                                                                       (22a), (22b)
 //! ```
 //!
-//! Deviations from the paper: γ̂ in (22d), which has γ there; the literal form keeps γ and is left when x would leave
-//! the range of numbers. Sensors that are missing, inputs and what the paper leaves open are not in it.
+//! Deviations from the paper: (22d) is printed with γ; the literal form has that, and is left for a sample at which x
+//! would leave the range of numbers. The paper knows no inputs and no sensors that are missing, and leaves open what
+//! [`em`] and [`locals`] say.
 //!
 //! # References
 //! Zhu et al. 2022, Algorithm 1; without step 3 Guo et al. 2019.
