@@ -52,6 +52,7 @@ bench: setup ## side-by-side benchmarks
 papers: setup ## reproduce the papers' numbers
 	@$(PY) -m papers.liu2020 $(ARGS)
 	@$(PY) -m papers.chen2022 $(ARGS)
+	@$(PY) -m papers.zhu2022 $(ARGS)
 
 arena: setup ## every estimator against every adversary; interrupted, it goes on where it stopped
 	@.venv/bin/securestate compare examples/arena/suite.toml --out examples/arena/out --report examples/arena/out/report.html $(ARGS)

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from papers._report import Value
-from papers.chen2022.setting import FORMS, Float, Setting, mean, prefixed, ratio
+from papers._statistics import mean, prefixed, ratio
+from papers.chen2022.setting import FORMS, Float, Setting
 from securestate import (
     AdaptiveJointFilter,
     AdaptiveKalman,
