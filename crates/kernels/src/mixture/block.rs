@@ -133,27 +133,33 @@ impl Block {
         for a in 0..m {
             for b in 0..m {
                 let new = 0.5 * (right[a * m + b] + right[b * m + a]);
-                precision[a * m + b] += step * (new - precision[a * m + b]);
+                // Written so that a step of 1 forgets the old site to the last bit: its rounding can be larger than the new.
+                precision[a * m + b] = (1.0 - step) * precision[a * m + b] + step * new;
             }
             let new = dot(&right[a * m..(a + 1) * m], &self.mean[..m]) + gamma * self.scaled[a];
-            eta[a] += step * (new - eta[a]);
+            eta[a] = (1.0 - step) * eta[a] + step * new;
         }
     }
 
-    /// Columns f with Σ f fᵀ = Λ (m, m), one after the other; as many as Λ has positive pivots.
+    /// Columns f with Σ f fᵀ = Λ (m, m), one after the other; as many as Λ has pivots above rounding, largest first.
     pub fn factors(&mut self, precision: &[f64], m: usize, mut each: impl FnMut(&[f64])) {
         let rest = &mut self.system[..m * m];
         rest.copy_from_slice(precision);
-        for pivot in 0..m {
+        let largest = |rest: &[f64]| {
+            (1..m).fold(0, |best, a| if rest[a * m + a] > rest[best * m + best] { a } else { best })
+        };
+        let least = f64::EPSILON * rest[largest(rest) * (m + 1)];
+        for _ in 0..m {
+            let pivot = largest(rest);
             let weight = rest[pivot * m + pivot];
-            if weight <= f64::EPSILON * precision[pivot * m + pivot].abs() || weight.is_nan() {
-                continue;
+            if weight <= least || weight.is_nan() {
+                break;
             }
-            let column = &mut self.scaled[..m];
+            let (column, root) = (&mut self.scaled[..m], weight.sqrt());
             for (a, value) in column.iter_mut().enumerate() {
-                *value = if a < pivot { 0.0 } else { rest[a * m + pivot] / weight.sqrt() };
+                *value = rest[a * m + pivot] / root;
             }
-            for a in pivot..m {
+            for a in 0..m {
                 axpy(-column[a], column, &mut rest[a * m..(a + 1) * m]);
             }
             each(column);

@@ -302,8 +302,8 @@ impl Labels {
             let new = curvature / (1.0 - h * curvature);
             let shift = new * (m + h * share * rho) + share * rho;
             let (lambda, eta) = (&mut self.precision[one.block], &mut self.eta[one.first]);
-            *lambda += case.step * (new - *lambda);
-            *eta += case.step * (shift - *eta);
+            *lambda = (1.0 - case.step) * *lambda + case.step * new;
+            *eta = (1.0 - case.step) * *eta + case.step * shift;
         }
         gamma
     }
