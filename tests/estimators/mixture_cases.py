@@ -18,7 +18,7 @@ def random_plant(
     inputs: int = 2,
     **options: Any,
 ) -> Plant:
-    """Sensors of one to three channels with units, noise correlated among those of a sensor, the last protected.
+    """Sensors of one to three channels with units, noise correlated within a sensor, the last protected.
 
     Options: `varying`, samples over which A and C change; `protected`, names of the sensors.
     """

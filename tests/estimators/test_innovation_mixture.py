@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from securestate import Belief, InnovationMixture, KalmanFilter, Plant, Run, Sensor, Status
-from tests.estimators.mixture_cases import Array, attacked_data, random_plant, some_prior
+from tests.estimators.mixture_cases import attacked_data, random_plant, some_prior
 from tests.reference import innovation_mixture as book
 
 CASES = Path(__file__).parents[1] / "cases/mixture"
@@ -70,7 +70,7 @@ SETTINGS: list[dict[str, Any]] = [
 
 
 def assert_equals_textbook(run: Run, expected: book.Textbook, tolerance: float = 1e-8) -> None:
-    """Nothing was decided by rounding: no gap, belief, evidence or weight was closer than 1e-7 to its threshold."""
+    """Nothing was decided by rounding: no gap, belief, evidence or weight was within 1e-7 of a bound."""
     assert expected.margin > 1e-7
     assert run.P is not None
     plant, scale = run.plant, run.plant.scale

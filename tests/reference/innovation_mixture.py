@@ -1,7 +1,7 @@
 """The innovation mixture as in a textbook: dense matrices, inverses, every sensor really left out. Slow.
 
-What a sensor says is kept as its share of the information about the state, an (n, n) matrix and an (n,) vector,
-so that sensors with more channels than states need no special care.
+What a sensor says is kept as its share of the information about the state, an (n, n) matrix and an (n,)
+vector, so that sensors with more channels than states need no special care.
 """
 
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ NO_MEASUREMENT, NOT_CONVERGED, AMBIGUOUS, MAJORITY_SUSPECT = 1, 2, 5, 6
 
 @dataclass
 class Textbook:
-    """Per sample: x (T, n), P (T, n, n), trust (T, N), attack and its std (T, m), status (T,), numbers by name (T,).
+    """Per sample: x (T, n), P (T, n, n), trust (T, N), attack and its std (T, m), status (T,), diagnostics.
 
     `margin` is how far the closest decision was from a tie.
     """
@@ -142,7 +142,7 @@ def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **s
         heard = listen(plant, C, yk - C @ x - plant.D @ uk, P)
         for one in heard:
             one.attacked = past.attacked(one.sensor, s.memory)
-        starts, winner, rival = settle(heard, P, s)
+        winner, rival = settle(heard, P, s)
         if s.monitor is not None:
             watch(heard, P, winner, past, s)
         e, posterior = combine(P, winner.sites)
@@ -281,8 +281,8 @@ def tilt(one: Heard, e: Array, cov: Array, V: Array, rho: Array, gamma: float) -
     return J - np.linalg.inv(cov), J @ mean - np.linalg.solve(cov, e)
 
 
-def settle(heard: list[Heard], P: Array, s: Settings) -> tuple[list[Labels], Labels, Labels | None]:
-    """All starts at their ends, the best of them, and the rival to merge."""
+def settle(heard: list[Heard], P: Array, s: Settings) -> tuple[Labels, Labels | None]:
+    """The best of all starts at their ends, and the rival to merge."""
     starts = [begin(heard, [gate(one, s) for one in heard]), begin(heard, [1.0] * len(heard))]
     if s.form == "belief":
         for _ in range(8):
@@ -294,7 +294,7 @@ def settle(heard: list[Heard], P: Array, s: Settings) -> tuple[list[Labels], Lab
         for start in starts:
             sweep_to_the_end(heard, P, start, s)
     if s.form == "propagation" and same(starts[0], starts[1]) and not complement_counts(heard, starts[0], s):
-        return starts, starts[0], None
+        return starts[0], None
     for start in starts:
         weigh(heard, P, start, s)
     winner = best(starts, s)
@@ -307,8 +307,8 @@ def settle(heard: list[Heard], P: Array, s: Settings) -> tuple[list[Labels], Lab
     rivals = [start for start in starts if not same(start, winner)] if s.merge else []
     rival = max(rivals, key=lambda one: one.evidence, default=None)
     if rival is None or not s.decide(special.expit(rival.evidence - winner.evidence), 0.01):
-        return starts, winner, None
-    return starts, winner, rival
+        return winner, None
+    return winner, rival
 
 
 def sweep_to_the_end(heard: list[Heard], P: Array, labels: Labels, s: Settings) -> None:

@@ -172,8 +172,9 @@ pub fn add_gram(arithmetic: Arithmetic, s: &[f64], n: usize, out: &mut [f64], st
     }
 }
 
-/// From [J | B] (n, width), J symmetric positive definite and given by its upper triangle, to [U | U⁻ᵀ B] with
-/// J = Uᵀ U, U upper triangular.
+/// From [J | B] (n, width), J − I positive semidefinite and J given by its upper triangle, to [U | U⁻ᵀ B] with
+/// J = Uᵀ U, U upper triangular. No pivot of such a J is below 1, and none is taken for less: where J is so large that
+/// rounding hides the 1, the result is wrong there and still finite.
 #[inline(always)]
 pub fn eliminate(arithmetic: Arithmetic, work: &mut [f64], n: usize, width: usize) {
     let mut j = 0;
@@ -200,6 +201,7 @@ fn finish(above: &[f64], first: usize, count: usize, row: &mut [f64]) {
     for above in above.chunks_exact(width) {
         add_row(-above[j], &above[j..], &mut row[j..]);
     }
+    row[j] = row[j].max(1.0);
     let inverse = 1.0 / row[j].sqrt();
     row[j..].iter_mut().for_each(|value| *value *= inverse);
 }

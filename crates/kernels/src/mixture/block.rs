@@ -194,3 +194,39 @@ fn solve(a: &mut [f64], b: &mut [f64], m: usize) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A sensor of two channels that is certainly attacked, after its first sweep from trust.
+    fn distrusted() -> Vec<f64> {
+        let mut block = Block::new(2);
+        let (mut precision, mut eta) = (vec![1.0, 0.0, 0.0, 1.0], vec![40.0, 30.0]);
+        block.spread.copy_from_slice(&[0.3, 0.2, 0.2, 0.4]);
+        block.leave_out((&precision, &eta), &[20.0, 16.0], &[40.0, 30.0]);
+        block.match_moments(1e-70, 1.0, &mut precision, &mut eta);
+        precision
+    }
+
+    #[test]
+    fn a_full_step_forgets_the_old_site_to_the_last_bit() {
+        let precision = distrusted();
+        assert!(precision[0] > 0.0 && precision[3] > 0.0, "{precision:?}");
+        assert!(precision[1] * precision[2] <= precision[0] * precision[3] * (1.0 + 1e-9), "{precision:?}");
+    }
+
+    #[test]
+    fn factors_give_back_the_precision_and_stay_small_where_it_is_not_quite_semidefinite() {
+        for precision in [distrusted(), vec![2.0, 0.5, 0.5, 1.0], vec![1e-40, 1e-17, 1e-17, 1.0]] {
+            let mut sum = [0.0; 4];
+            Block::new(2).factors(&precision, 2, |f| {
+                (0..4).for_each(|i| sum[i] += f[i / 2] * f[i % 2]);
+            });
+            let size = precision[0].max(precision[3]);
+            for (got, want) in sum.iter().zip(&precision) {
+                assert!((got - want).abs() <= 1e-15 * size, "{sum:?} instead of {precision:?}");
+            }
+        }
+    }
+}

@@ -85,7 +85,8 @@ impl Sample {
                 let variance = 1.0 + dot(z, z);
                 let deviation = variance.sqrt();
                 let furthest = FURTHEST * deviation;
-                let residual = self.residual[one.first].clamp(-furthest, furthest);
+                // Not `clamp`, which panics where P⁻ overflows.
+                let residual = self.residual[one.first].max(-furthest).min(furthest);
                 let surprise = residual / deviation;
                 self.residual[one.first] = residual;
                 self.surprise[one.first] = surprise;
