@@ -143,8 +143,8 @@ def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **s
         for one in heard:
             one.attacked = past.attacked(one.sensor, s.memory)
         winner, rival = settle(heard, P, s)
-        if s.monitor is not None:
-            watch(heard, P, winner, past, s)
+        if s.monitor is not None and watch(heard, P, winner, past, s):
+            rival = None  # it does not know what the monitor found
         e, posterior = combine(P, winner.sites)
         gamma, weight, apart = winner.gamma, 0.0, 0.0
         if rival is not None:
@@ -160,7 +160,8 @@ def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **s
         suspected = int((trust < 0.5).sum())
         rows.append((x, posterior, trust, attack, std))
         channels = sum(one.m for one in heard)
-        numbers.append((channels, winner.sweeps, winner.gap, suspected, weight, apart, len(heard)))
+        undecided = sum(s.decide(float(g), 0.1) and s.decide(0.9, float(g)) for g in gamma)
+        numbers.append((channels, winner.sweeps, winner.gap, suspected, weight, apart, undecided, len(heard)))
         past.remember({one.sensor: float(g) for one, g in zip(heard, gamma, strict=True)}, s.forgetting)
         x, P = A @ x + plant.B @ uk, A @ posterior @ A.T + plant.Q
     table = np.array(numbers, dtype=float).T
@@ -173,12 +174,14 @@ def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **s
 
 
 def judge(row: Array, s: Settings) -> int:
-    _, _, gap, suspected, weight, apart, arrived = row
+    _, _, gap, suspected, weight, apart, undecided, arrived = row
     if arrived == 0:
         return NO_MEASUREMENT
     if 2 * suspected > arrived:
         return MAJORITY_SUSPECT
     if weight > 0 and s.decide(weight, 0.05) and s.decide(apart, 1.0):
+        return AMBIGUOUS
+    if undecided > 1 and 2 * undecided >= arrived:
         return AMBIGUOUS
     return NOT_CONVERGED if s.decide(gap, 0.05) else 0
 
@@ -362,8 +365,11 @@ def weigh(heard: list[Heard], P: Array, labels: Labels, s: Settings) -> None:
     labels.evidence = float(log - 1e3 * max(0, (len(heard) + 1) // 2 - len(honest)))
 
 
-def watch(heard: list[Heard], P: Array, labels: Labels, past: Past, s: Settings) -> None:
-    """Averages of what the others do not expect; a minority that is too far off is not believed."""
+def watch(heard: list[Heard], P: Array, labels: Labels, past: Past, s: Settings) -> bool:
+    """Averages of what the others do not expect; a minority that is too far off is not believed.
+
+    Returns whether there is one.
+    """
     assert s.monitor is not None
     excess = np.zeros(len(heard))
     for i, one in enumerate(heard):
@@ -374,10 +380,11 @@ def watch(heard: list[Heard], P: Array, labels: Labels, past: Past, s: Settings)
         past.drift[one.channels] += (1 - s.monitor) * np.clip(off, -4, 4)
         square = (past.drift[one.channels] ** 2).sum() * (1 + s.monitor) / (1 - s.monitor)
         excess[i] = 0.0 if one.protected else square / stats.chi2.ppf(1 - s.monitor_rate, one.m)
-    for i in np.argsort(-excess)[: max(len(heard) - 1, 0) // 2]:
-        if s.decide(float(excess[i]), 1.0):
-            labels.gamma[i] = 0.0
-            labels.sites[i] = heard[i].information(0.0)
+    found = [i for i in np.argsort(-excess)[: max(len(heard) - 1, 0) // 2] if s.decide(float(excess[i]), 1.0)]
+    for i in found:
+        labels.gamma[i] = 0.0
+        labels.sites[i] = heard[i].information(0.0)
+    return bool(found)
 
 
 def report(

@@ -73,11 +73,14 @@ class InnovationMixture(Estimator):
         `Run.attack_std` its standard deviation; 0 for the others, NaN where nothing arrived.
         `Run.diagnostics`: "channels" that arrived; "sweeps"; "gap", the largest change of a belief in the
         last sweep; "distrusted", how many sensors are suspected; "rival", weight of the labelling merged.
-        An innovation further off than 1e6 standard deviations is judged as if it were that far off.
+        An innovation further off than 1e6 standard deviations is judged as if it were that far off, unless
+        the sensor is protected.
         P is kept as a square root, so that it stays positive semidefinite whatever the rounding.
-        NO_MEASUREMENT, ILL_CONDITIONED: as `KalmanFilter`. MAJORITY_SUSPECT: more than half of the sensors
-        that arrived are suspected. AMBIGUOUS: a second labelling has a weight of at least .05 and is more
-        than one standard deviation away in some state. NOT_CONVERGED: beliefs still move by more than .05.
+        NO_MEASUREMENT: as `KalmanFilter`. ILL_CONDITIONED: so too, and where the variance of an innovation is
+        above 1e13 times that of its noise, so that rounding counts: give a prior that knows more.
+        MAJORITY_SUSPECT: more than half of the sensors that arrived are suspected. AMBIGUOUS: a second
+        labelling has a weight of at least .05 and is more than one standard deviation away in some state, or
+        at least half of the beliefs lie between .1 and .9. NOT_CONVERGED: beliefs still move by over .05.
 
     References:
         After Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022); Minka 2001 (minka2001).
@@ -118,7 +121,7 @@ class InnovationMixture(Estimator):
             "attacked": attacked,
             "memory": memory,
             "merge": merge,
-            "kappa": _between("kappa", kappa, 0.0, 1e12),
+            "kappa": _between("kappa", kappa, 1e-6, 1e12),
             "forgetting": _between("forgetting", forgetting, 0.0, 1.0),
             "monitor": None if monitor is None else _between("monitor", monitor, 0.0, 1.0),
             "monitor_rate": _between("monitor_rate", monitor_rate, 0.0, 1.0),

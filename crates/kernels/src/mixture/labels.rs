@@ -298,8 +298,11 @@ impl Labels {
         let gamma = belief(case.odds * v.sqrt() * (0.5 * (square - case.distance)).exp());
         if case.form == Form::Propagation {
             let share = gamma / v;
-            let curvature = share * (1.0 - (1.0 - gamma) * square).max(0.0); // M
-            let new = curvature / (1.0 - h * curvature);
+            let curvature = gamma * (1.0 - (1.0 - gamma) * square).max(0.0); // V M
+            let new = match curvature {
+                0.0 => 0.0,
+                _ => curvature / (1.0 + h * (1.0 - gamma) * (1.0 + gamma * square)), // M / (1 − h M)
+            };
             let shift = new * (m + h * share * rho) + share * rho;
             let (lambda, eta) = (&mut self.precision[one.block], &mut self.eta[one.first]);
             *lambda = (1.0 - case.step) * *lambda + case.step * new;

@@ -274,7 +274,7 @@ impl Mixture {
         let State { k, x, prior, past, work } = state;
         self.settle(work);
         let (winner, rival) = self.choose(work);
-        self.monitor(past, work, winner);
+        let rival = if self.monitor(past, work, winner) { None } else { rival };
         let verdict = self.conclude(work, winner, rival);
         x.iter_mut().zip(&work.posterior.shift).for_each(|(x, shift)| *x += shift);
         self.report(work, (*k, x, prior), &verdict, out);

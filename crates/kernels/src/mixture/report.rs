@@ -13,11 +13,18 @@ use crate::mixture::{LOOSE, Mixture, Verdict, Work};
 /// Standardised residuals count as no more than this in the monitor.
 const CLIP: f64 = 4.0;
 
+/// Variance of an innovation over that of its noise beyond which rounding of the information form counts.
+const WIDEST: f64 = 1e13;
+
+/// Least doubt and least belief of a sensor that is undecided.
+const UNDECIDED: f64 = 0.1;
+
 impl Mixture {
-    /// Average what the others do not expect of every sensor, and withdraw belief where that is too far from nothing.
+    /// Average what the others do not expect of every sensor, and withdraw belief where that is too far from nothing;
+    /// returns whether it did.
     #[inline(always)]
-    pub(super) fn monitor(&self, past: &mut Past, work: &mut Work, winner: usize) {
-        let Some(forgetting) = self.settings.monitor else { return };
+    pub(super) fn monitor(&self, past: &mut Past, work: &mut Work, winner: usize) -> bool {
+        let Some(forgetting) = self.settings.monitor else { return false };
         self.leave_out(work, winner);
         let Work { heard, sample, information, scratch, starts, excess, .. } = work;
         let labels = &mut starts[winner];
@@ -33,14 +40,17 @@ impl Mixture {
             }
             excess[index] = if one.protected { 0.0 } else { square / self.settings.quantiles[one.size] };
         }
+        let mut accused = false;
         for _ in 0..(sample.arrived.len().saturating_sub(1)) / 2 {
             let found = (0..sample.arrived.len()).fold(0, |a, b| if excess[b] > excess[a] { b } else { a });
             if excess[found] <= 1.0 {
                 break;
             }
             excess[found] = 0.0;
+            accused = true;
             labels.disbelieve(sample, found);
         }
+        accused
     }
 
     /// W for the winner's sites.
@@ -95,11 +105,14 @@ impl Mixture {
         ];
         out.diagnostics.copy_from_slice(&numbers);
         let finite = out.x_std.iter().all(|deviation| deviation.is_finite());
+        let wide = work.sample.variance[..work.information.count()].iter().any(|&variance| variance > WIDEST);
+        let between = |&&gamma: &&f64| gamma > UNDECIDED && gamma < 1.0 - UNDECIDED;
+        let undecided = work.gamma[..arrived].iter().filter(between).count();
         *out.status = match () {
-            () if !finite => Status::IllConditioned,
+            () if !finite || wide => Status::IllConditioned,
             () if arrived == 0 => Status::NoMeasurement,
             () if 2 * distrusted > arrived => Status::MajoritySuspect,
-            () if verdict.ambiguous => Status::Ambiguous,
+            () if verdict.ambiguous || (undecided > 1 && 2 * undecided >= arrived) => Status::Ambiguous,
             () if labels.gap > LOOSE => Status::NotConverged,
             () => Status::Ok,
         } as u8;

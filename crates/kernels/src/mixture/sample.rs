@@ -7,6 +7,9 @@ use crate::mixture::information::Information;
 /// Whitened innovations further off than this many standard deviations are taken to be this far off.
 const FURTHEST: f64 = 1e6;
 
+/// The same for sensors that nobody can tamper with: as far as squares can be computed.
+const LARGEST: f64 = 1e150;
+
 /// A sensor of which something arrived.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Arrived {
@@ -84,7 +87,7 @@ impl Sample {
                 let z = information.z(one.first);
                 let variance = 1.0 + dot(z, z);
                 let deviation = variance.sqrt();
-                let furthest = FURTHEST * deviation;
+                let furthest = if one.protected { LARGEST } else { FURTHEST * deviation };
                 // Not `clamp`, which panics where P⁻ overflows.
                 let residual = self.residual[one.first].max(-furthest).min(furthest);
                 let surprise = residual / deviation;
@@ -100,7 +103,7 @@ impl Sample {
     }
 
     fn measure_jointly(&mut self, information: &Information, index: usize) {
-        let Arrived { first, size, .. } = self.arrived[index];
+        let Arrived { first, size, protected, .. } = self.arrived[index];
         for a in 0..size {
             for b in 0..=a {
                 let unit = f64::from(u8::from(a == b));
@@ -118,7 +121,7 @@ impl Sample {
         surprise.copy_from_slice(&residual[..size]);
         forward_solve(&self.factor, size, surprise);
         let excess = (dot(surprise, surprise) / size as f64).sqrt() / FURTHEST;
-        if excess > 1.0 {
+        if excess > 1.0 && !protected {
             residual[..size].iter_mut().chain(surprise.iter_mut()).for_each(|value| *value /= excess);
         }
         self.square[index] = dot(surprise, surprise);
