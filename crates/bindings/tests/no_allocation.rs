@@ -17,6 +17,8 @@ use securestate_kernels::joint_fusion::fusion::Rule as Fusion;
 use securestate_kernels::joint_fusion::layout::Layout as Stacks;
 use securestate_kernels::kalman::Kalman;
 use securestate_kernels::kalman::model::{Matrices, Model};
+use securestate_kernels::mixture::Mixture;
+use securestate_kernels::mixture::settings::{Attacked, Form as Sweeps, Memory, Settings as BeliefSettings};
 use securestate_kernels::mixture_fusion::em::{Rules, Start};
 use securestate_kernels::mixture_fusion::{MixtureFusion, Settings as MixtureSettings};
 use securestate_kernels::projection::{Blocks, Projection};
@@ -246,6 +248,53 @@ fn augmented(states: usize, channels: usize, factor: Option<f64>) -> std::sync::
     let forgetting = factor.map(|factor| Forgetting { factor, start: start.clone() });
     let estimator = Augmented::new(filter, report, start, forgetting).unwrap();
     Design::boxed(estimator, plain_units(channels)).unwrap()
+}
+
+fn innovation_mixture(
+    (states, channels): (usize, usize),
+    settings: BeliefSettings,
+) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let mut given = matrices(n, m);
+    (0..m * m).filter(|k| k / m / 2 != k % m / 2).for_each(|k| given.r[k] = 0.0);
+    let estimator = Mixture::new(Model::new(given).unwrap(), Some(&identity(n)), settings).unwrap();
+    Design::boxed(estimator, plain_units(m)).unwrap()
+}
+
+#[test]
+fn an_innovation_mixture_step_allocates_nothing_with_any_settings() {
+    for (n, m) in [(1_usize, 6_usize), (4, 9), (12, 30)] {
+        for form in [Sweeps::Propagation, Sweeps::Weight] {
+            for (attacked, memory, merge, monitor) in [
+                (Attacked::Learned, Memory::Rate, true, None),
+                (Attacked::Student, Memory::Sticky, true, Some(0.9)),
+                (Attacked::Learned, Memory::Sticky, false, Some(0.5)),
+            ] {
+                let mut protected = vec![false; m.div_ceil(2)];
+                protected[1] = merge;
+                let settings = BeliefSettings {
+                    form,
+                    attacked,
+                    memory,
+                    merge,
+                    kappa: 5.0,
+                    forgetting: 0.98,
+                    monitor,
+                    cap: 15,
+                    tolerance: 1e-3,
+                    student: vec![-0.3; 3],
+                    degrees: 1.0,
+                    quantiles: vec![f64::INFINITY, 0.5, 0.8],
+                    protected,
+                };
+                let name = format!("({n}, {m}) {settings:?}");
+                let kernel = innovation_mixture((n, m), settings);
+                assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady {name}");
+                let prior = identity(n);
+                assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior {name}");
+            }
+        }
+    }
 }
 
 #[test]

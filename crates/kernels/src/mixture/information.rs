@@ -32,6 +32,8 @@ pub struct Information {
     z_t: Vec<f64>,
     /// Λ½ Z by rows, only those that are not zero.
     scaled: Vec<f64>,
+    /// Numbers of `scaled` in use.
+    used: usize,
     /// [J | Zᵀ], then [U | Wᵀ], (n, n + count); or [J | Zᵀ η, Lᵀ].
     work: Vec<f64>,
 }
@@ -49,7 +51,8 @@ impl Information {
             c_t: vec![0.0; n * m],
             z: vec![0.0; m * n],
             z_t: vec![0.0; n * m],
-            scaled: Vec::with_capacity(m * n),
+            scaled: vec![0.0; m * n],
+            used: 0,
             work: vec![0.0; n * (n + m.max(n + 1))],
         }
     }
@@ -91,7 +94,7 @@ impl Information {
     /// Forget all precisions.
     #[inline(always)]
     pub fn clear(&mut self) {
-        self.scaled.clear();
+        self.used = 0;
     }
 
     /// Give channel i the precision factor².
@@ -99,18 +102,22 @@ impl Information {
     pub fn weigh(&mut self, factor: f64, i: usize) {
         if factor != 0.0 {
             let row = &self.z[i * self.n..(i + 1) * self.n];
-            self.scaled.extend(row.iter().map(|z| factor * z));
+            let target = &mut self.scaled[self.used..self.used + self.n];
+            target.iter_mut().zip(row).for_each(|(target, z)| *target = factor * z);
+            self.used += self.n;
         }
     }
 
     /// Give the channels from `first` on the precision f fᵀ.
     #[inline(always)]
     pub fn weigh_jointly(&mut self, f: &[f64], first: usize) {
-        let (n, begin) = (self.n, self.scaled.len());
-        self.scaled.resize(begin + n, 0.0);
+        let n = self.n;
+        let target = &mut self.scaled[self.used..self.used + n];
+        target.fill(0.0);
         for (offset, &factor) in f.iter().enumerate() {
-            axpy(factor, &self.z[(first + offset) * n..(first + offset + 1) * n], &mut self.scaled[begin..]);
+            axpy(factor, &self.z[(first + offset) * n..(first + offset + 1) * n], target);
         }
+        self.used += n;
     }
 
     /// [J | ·] with rows of length n + extra.
@@ -121,7 +128,7 @@ impl Information {
             row[..n].fill(0.0);
             row[i] = 1.0;
         }
-        add_gram(self.arithmetic, &self.scaled, n, &mut self.work, width);
+        add_gram(self.arithmetic, &self.scaled[..self.used], n, &mut self.work, width);
     }
 
     /// U and W for the precisions given.
