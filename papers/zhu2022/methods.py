@@ -18,7 +18,7 @@ from securestate import (
 #: The smallest change that mends Algorithm 1: nothing is remembered, (18) maximises, Sigma_2 is bounded.
 REPAIRS: dict[str, Any] = {"init": "median", "mean": "precision", "floor": "prior", "feedback": True}
 
-PLAIN: dict[str, Any] = {"kappa": 4.0, "forgetting": 0.97, "merge": False}
+PLAIN: dict[str, Any] = {"kappa": 4.0, "forgetting": 0.97, "memory": "doubt", "merge": False}
 
 #: As it comes; and its two forms with the settings of the independent program in expected.json.
 INNOVATION: dict[str, Design] = {

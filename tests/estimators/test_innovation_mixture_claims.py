@@ -10,7 +10,6 @@ from securestate import (
     DesignError,
     InnovationMixture,
     InputError,
-    KalmanFilter,
     OracleFilter,
     Plant,
     ResumeError,
@@ -78,6 +77,7 @@ def test_a_state_does_not_resume_with_other_settings() -> None:
         {"form": "belief"},
         {"attacked": "student"},
         {"memory": "sticky"},
+        {"memory": "doubt"},
         {"merge": False},
         {"kappa": 4.0},
         {"forgetting": 0.97},
@@ -136,10 +136,8 @@ def equal_sensors(values: list[float], **options: Any) -> Any:
 def test_two_against_two_is_ambiguous_and_p_holds_both() -> None:
     run = equal_sensors([1.9, 2.0, -1.95, -2.05])
     other = equal_sensors([1.0, 1.0, -1.0, -1.0])
-    for one, apart in ((run, 2.0), (other, 1.0)):
-        assert one.status[0] in (Status.AMBIGUOUS, Status.MAJORITY_SUSPECT)
-        assert one.x_std[0, 0] > 0.9 * apart
-    assert other.status[0] == Status.AMBIGUOUS
+    assert run.status[0] == Status.AMBIGUOUS
+    assert run.x_std[0, 0] > 1.8 and other.x_std[0, 0] > 0.9  # .05 if two sensors were believed
 
 
 def test_a_majority_that_is_suspected_is_said() -> None:
@@ -221,6 +219,19 @@ def test_a_sensor_that_always_lies_is_doubted_sooner() -> None:
         fresh[:100, 0] = np.nan
         unknown = InnovationMixture(plant, memory=memory).run(fresh)
         assert known.trust[100, 0] < unknown.trust[100, 0] - 0.2, memory
+
+
+def test_a_liar_that_stops_is_soon_believed_again() -> None:
+    honest_again = []
+    for seed in range(10):
+        plant, T = scalar_plant(seed, 6), 300
+        _, y, _ = simulate(plant, T, np.random.default_rng(seed))
+        y[50:150, 0] += 8 * np.sqrt(plant.R[0, 0])
+        honest_again.append(
+            [InnovationMixture(plant, memory=m).run(y).suspected[150:, 0].mean() for m in ("rate", "doubt")]
+        )
+    rate, doubt = np.mean(honest_again, axis=0)
+    assert rate < 0.15 < 2 * rate < doubt
 
 
 def test_the_monitor_finds_a_small_bias_and_hardly_accuses_the_honest() -> None:

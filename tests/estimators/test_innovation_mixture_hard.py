@@ -47,7 +47,7 @@ def some_settings(rng: np.random.Generator) -> dict[str, Any]:
     return {
         "form": str(rng.choice(["propagation", "belief"])),
         "attacked": str(rng.choice(["learned", "student"])),
-        "memory": str(rng.choice(["rate", "sticky"])),
+        "memory": str(rng.choice(["rate", "doubt", "sticky"])),
         "merge": bool(rng.random() < 0.7),
         "kappa": 10.0 ** rng.uniform(-3, 9),
         "forgetting": float(rng.uniform(0.01, 0.999)),

@@ -202,7 +202,7 @@ def test_a_table_with_names_is_read_by_name() -> None:
 
 
 def test_a_prior_or_a_plant_of_the_wrong_kind_is_refused() -> None:
-    with pytest.raises(InputError, match="prior: expected a Belief or None, received list"):
+    with pytest.raises(InputError, match='prior: expected a Belief, None, or "window" in run, received list'):
         KalmanFilter(liu()).start([0.0, 0.0, 0.0])  # type: ignore[arg-type]
     for method in (KalmanFilter, SparseFusion):
         with pytest.raises(

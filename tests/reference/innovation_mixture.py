@@ -109,14 +109,15 @@ class Past:
         return (0.2 + ha) / (1 + hh + ha), (1 + aa) / (2 + ah + aa)
 
     def attacked(self, i: int, memory: str) -> float:
-        if memory == "rate":
+        if memory != "sticky":
             return float(np.clip((1 + self.lies[i]) / (5 + self.lies[i] + self.truths[i]), 0.02, 0.9))
         begin, stay = self.chain()
         ((hh, ha), (ah, aa)) = self.moves[:, :, i]
         begins, goes_on = (8 * begin + ha) / (8 + hh + ha), (8 * stay + aa) / (8 + ah + aa)
         return float(np.clip(self.lied[i] * goes_on + (1 - self.lied[i]) * begins, 0.002, 0.995))
 
-    def remember(self, gamma: dict[int, float], forgetting: float) -> None:
+    def remember(self, gamma: dict[int, float], prior: dict[int, float], s: Settings) -> None:
+        forgetting = s.forgetting
         begin, stay = self.chain()
         self.lies, self.truths = forgetting * self.lies, forgetting * self.truths
         self.moves = forgetting * self.moves
@@ -130,8 +131,12 @@ class Past:
             after = np.array([gamma[i], 1 - gamma[i]])
             self.moves[:, :, i] += joint / joint.sum(axis=0) * after
             self.lied[i] = 1 - gamma[i]
-            self.lies[i] += 1 - gamma[i]
-            self.truths[i] += gamma[i]
+            if s.memory == "rate":  # what the belief would be if one in ten samples were a lie
+                p = prior[i]
+                after = after / [1 - p, p] * [0.9, 0.1]
+                after = after / after.sum()
+            self.lies[i] += after[1]
+            self.truths[i] += after[0]
 
 
 def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **settings: Any) -> Textbook:
@@ -160,9 +165,10 @@ def innovation_mixture(plant: Plant, y: Array, u: Array, x: Array, P: Array, **s
         suspected = int((trust < 0.5).sum())
         rows.append((x, posterior, trust, attack, std))
         channels = sum(one.m for one in heard)
-        undecided = sum(s.decide(float(g), 0.1) and s.decide(0.9, float(g)) for g in gamma)
+        undecided = sum(s.decide(float(g), 1 / 3) and s.decide(2 / 3, float(g)) for g in gamma)
         numbers.append((channels, winner.sweeps, winner.gap, suspected, weight, apart, undecided, len(heard)))
-        past.remember({one.sensor: float(g) for one, g in zip(heard, gamma, strict=True)}, s.forgetting)
+        beliefs = {one.sensor: float(g) for one, g in zip(heard, gamma, strict=True)}
+        past.remember(beliefs, {one.sensor: one.attacked for one in heard}, s)
         x, P = A @ x + plant.B @ uk, A @ posterior @ A.T + plant.Q
     table = np.array(numbers, dtype=float).T
     names = ("channels", "sweeps", "gap", "distrusted", "rival")

@@ -11,8 +11,8 @@ use crate::kernel::Kernel;
 use crate::plant;
 
 /// Kernel of an innovation mixture. `plant` and `prior` are those of `kalman`. `form` is "propagation" or "belief",
-/// `attacked` "learned" or "student" with log constants `student` per number of channels, `memory` "rate" or
-/// "sticky"; `monitor` holds the forgetting and the quantiles per number of channels.
+/// `attacked` "learned" or "student" with log constants `student` per number of channels, `memory` "rate", "doubt"
+/// or "sticky"; `monitor` holds the forgetting and the quantiles per number of channels.
 #[pyfunction]
 #[pyo3(signature = (
     plant, prior, *, form, attacked, memory, merge, kappa, forgetting, cap, tolerance, student, monitor
@@ -41,7 +41,11 @@ pub fn innovation_mixture(
             attacked,
             [("learned", Attacked::Learned), ("student", Attacked::Student)],
         )?,
-        memory: named("memory", memory, [("rate", Memory::Rate), ("sticky", Memory::Sticky)])?,
+        memory: named(
+            "memory",
+            memory,
+            [("rate", Memory::Rate), ("doubt", Memory::Doubt), ("sticky", Memory::Sticky)],
+        )?,
         merge,
         kappa,
         forgetting,
@@ -57,9 +61,9 @@ pub fn innovation_mixture(
     Ok(Kernel { inner: design().map_err(to_python)? })
 }
 
-fn named<T: Copy>(argument: &'static str, given: &str, known: [(&str, T); 2]) -> PyResult<T> {
+fn named<T: Copy, const N: usize>(argument: &'static str, given: &str, known: [(&str, T); N]) -> PyResult<T> {
     let found = known.iter().find(|(name, _)| *name == given).map(|(_, value)| *value);
     found.ok_or_else(|| {
-        to_python(Error::input(argument, format!("{:?} or {:?}", known[0].0, known[1].0), given.to_owned()))
+        to_python(Error::input(argument, known.map(|(name, _)| name).join(" or "), given.to_owned()))
     })
 }

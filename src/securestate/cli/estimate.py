@@ -27,6 +27,7 @@ class Memory(StrEnum):
     """What the innovation mixture remembers of a sensor."""
 
     RATE = "rate"
+    DOUBT = "doubt"
     STICKY = "sticky"
 
 
@@ -183,7 +184,7 @@ def estimate(
     memory: Annotated[
         Memory | None,
         typer.Option(
-            help="innovation-mixture: how often a sensor lied (rate, default), or its habits (sticky)."
+            help="innovation-mixture: how often a sensor lied (rate, default; doubt), or habits (sticky)."
         ),
     ] = None,
     monitor: Annotated[

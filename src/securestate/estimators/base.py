@@ -245,7 +245,8 @@ class Estimator:
             expected = "a Belief or None; collect samples, call cold_start(plant, y), start from its belief"
             raise InputError("prior", expected, '"window"')
         if not isinstance(prior, Belief):
-            raise InputError("prior", "a Belief or None", type(prior).__name__)
+            given = repr(prior) if isinstance(prior, str) else type(prior).__name__
+            raise InputError("prior", 'a Belief, None, or "window" in run', given)
         if prior.x.shape != (self.plant.n,):
             raise ShapeError("prior.x", f"shape ({self.plant.n},)", f"shape {prior.x.shape}")
         return np.ascontiguousarray(prior.x), None if prior.P is None else np.ascontiguousarray(prior.P)

@@ -37,8 +37,8 @@ Bool = NDArray[np.bool_]
 READINGS, NUMBERS = 4096, 2**24
 #: Samples of the shortest window, and rows per state and honest sensor it is made for.
 SHORTEST, ROWS_PER_STATE = 4, 1.5
-#: Growth of a window that was not certified.
-GROWTH = 1.5
+#: Growth of a window that was not certified, and how often in vain: refused for the same reason as before.
+GROWTH, VAIN = 1.5, 3
 ADVICE = "give a prior, Belief(x, P)"
 UNDETERMINED = "the readings that arrived and can be believed do not determine the state"
 
@@ -106,7 +106,8 @@ def cold_start(
     """Estimate the first states of a record without a prior, while sensors may lie from the first sample on.
 
     The window begins with max(4, 1.5 n / honest sensors) samples, the honest ones being a bare majority, and
-    grows until it is certified, `y` is used up, or it holds 4096 readings.
+    grows until it is certified, `y` is used up, it holds 4096 readings, or three larger windows in a row are
+    refused for the same reason as the one before.
 
     Args:
         plant: any plant whose state its sensors see. Protected sensors are never accused.
@@ -142,12 +143,14 @@ def cold_start(
         raise InputError("window", f"at most {longest} samples here", str(window))
     kinds = [True, False] if attacked == "any" else [attacked == "fixed"]
     with threadpool_limits(limits=1, user_api="blas"):  # threads only slow matrices of this size down
+        vain, earlier = 0, ""
         while True:
             tau = min(tau, longest)
             found = _attempt(plant, y[:tau], u[:tau], kinds)
-            if found.certified or tau == longest:
+            vain = vain + 1 if found.reason == earlier != UNDETERMINED else 0
+            if found.certified or tau == longest or vain == VAIN:
                 return found
-            tau = int(np.ceil(GROWTH * tau))
+            tau, earlier = int(np.ceil(GROWTH * tau)), found.reason
 
 
 def _checked(plant: Plant, y: ArrayLike, u: ArrayLike | None) -> tuple[Float, Float]:

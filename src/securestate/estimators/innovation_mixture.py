@@ -47,9 +47,10 @@ class InnovationMixture(Estimator):
         form: "propagation", or "belief" for the plain belief weighting it improves on, in which an undecided
             sensor counts as one whose noise is larger by 1 / belief.
         attacked: "learned", or "student" for Student's t with one degree of freedom and scale `kappa`.
-        memory: "rate" gives every sensor a probability of an attack from how often it lied lately; "sticky"
-            has chances of beginning and of ending to lie, learned from all sensors: better against a fixed
-            set on large plants, worse where few sensors see a state, because it locks in.
+        memory: "rate" gives every sensor a probability of an attack from how often its samples alone, without
+            what is remembered, looked like lies lately; "doubt" from how much it was doubted, so that doubt
+            feeds on itself; "sticky" has chances of beginning and of ending to lie, learned from all sensors:
+            better against a set that stays, worse where few sensors see a state, because it locks in.
         merge: False takes the labelling of larger evidence even if another is close.
         kappa: prior variance of an attacked innovation, in units of S_i. A larger one costs less without an
             attack and finds small injections later.
@@ -80,7 +81,7 @@ class InnovationMixture(Estimator):
         above 1e13 times that of its noise, so that rounding counts: give a prior that knows more.
         MAJORITY_SUSPECT: more than half of the sensors that arrived are suspected. AMBIGUOUS: a second
         labelling has a weight of at least .05 and is more than one standard deviation away in some state, or
-        at least half of the beliefs lie between .1 and .9. NOT_CONVERGED: beliefs still move by over .05.
+        at least half of the beliefs lie between 1/3 and 2/3. NOT_CONVERGED: beliefs still move by over .05.
 
     References:
         After Zhu, Wang, Zang, Li, Zheng 2022 (docs/bibliography.md: zhu2022); Minka 2001 (minka2001).
@@ -113,7 +114,7 @@ class InnovationMixture(Estimator):
         refuse_shared_noise(plant)
         _one_of("form", form, "propagation", "belief")
         _one_of("attacked", attacked, "learned", "student")
-        _one_of("memory", memory, "rate", "sticky")
+        _one_of("memory", memory, "rate", "doubt", "sticky")
         if not isinstance(merge, bool):
             raise InputError("merge", "True or False", repr(merge))
         settings = {

@@ -19,7 +19,7 @@ BOUND = 3.0
 """Normalised innovations beyond ± BOUND are rare (0.27 %) when the model holds and nobody lies."""
 
 SMALLEST_GAP = 1e-18
-"""The duality gap is drawn as a power of ten; zero is drawn here."""
+"""The gap at the end of an iteration is drawn as a power of ten; zero is drawn here."""
 
 Packed = dict[str, tuple[dict[str, object], str]]
 
@@ -72,7 +72,8 @@ def diagnostics(run: Run) -> dict[str, NDArray[np.float64]]:
     drawn = {}
     for name, values in run.diagnostics.items():
         if name == "gap":
-            drawn["duality gap, power of ten"] = np.log10(np.maximum(values, SMALLEST_GAP))
+            what = "duality gap" if "fast_path" in run.diagnostics else "last change"
+            drawn[f"{what}, power of ten"] = np.log10(np.maximum(values, SMALLEST_GAP))
         else:
             drawn[name.replace("_", " ")] = values
     return drawn

@@ -156,9 +156,11 @@ def _solver(summary: Summary) -> list[str]:
     if summary.fast_path is not None:
         lines.append(f"Fast path: {100 * summary.fast_path:.1f} % of samples needed no solver.")
     if summary.iterations is not None:
-        lines.append(f"The others took {summary.iterations:g} iterations in the median.")
+        who = "Samples" if summary.fast_path is None else "The others"
+        lines.append(f"{who} took {summary.iterations:g} iterations in the median.")
     if summary.gap is not None:
-        lines.append(f"Worst relative duality gap: {summary.gap:.1e}.")
+        what = "change in a last iteration" if summary.fast_path is None else "relative duality gap"
+        lines.append(f"Worst {what}: {summary.gap:.1e}.")
     return lines
 
 

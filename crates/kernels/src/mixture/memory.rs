@@ -1,7 +1,9 @@
 //! What is known of a sensor before its sample is seen: how it behaved lately.
 //!
 //! ```text
-//!     rate      p = (1 + a) / (5 + a + b) in [.02, .9],   a ← φ a + (1 − γ),  b ← φ b + γ
+//!     doubt     p = (1 + a) / (5 + a + b) in [.02, .9],   a ← φ a + (1 − γ),  b ← φ b + γ
+//!     rate      the same with the belief that the sample would have had with p = 1/10: past doubt does not
+//!               feed on itself
 //!     sticky    a two-state chain with rates of beginning and ending to lie, for all sensors and for this one
 //! ```
 
@@ -13,6 +15,9 @@ use crate::mixture::settings::{Memory, Settings};
 
 /// Pseudo-observations before the first sample: attacked, honest.
 const BETA: (f64, f64) = (1.0, 4.0);
+
+/// Odds of an attack by which a sample is remembered, whatever is remembered already.
+const ODDS: f64 = 1.0 / 9.0;
 
 /// The same of a sensor that was honest, and of one that was attacked.
 const BEGIN: (f64, f64) = (0.2, 1.0);
@@ -59,7 +64,7 @@ impl Past {
         for (one, p) in sample.arrived.iter().zip(&mut prior.attacked) {
             let i = one.sensor;
             *p = match settings.memory {
-                Memory::Rate => {
+                Memory::Rate | Memory::Doubt => {
                     let (a, b) = (self.rates[i], self.rates[n + i]);
                     ((BETA.0 + a) / (BETA.0 + BETA.1 + a + b)).clamp(0.02, 0.9)
                 }
@@ -77,17 +82,21 @@ impl Past {
         lied * goes_on + (1.0 - lied) * begins
     }
 
-    /// Remember the beliefs `gamma` of the sensors that arrived. What the others did fades.
+    /// Remember the beliefs `gamma` of the sensors that arrived, formed with `prior`. What the others did fades.
     #[inline(always)]
-    pub fn remember(&mut self, settings: &Settings, sample: &Sample, gamma: &[f64]) {
+    pub fn remember(&mut self, settings: &Settings, sample: &Sample, prior: &Prior, gamma: &[f64]) {
         let (n, forgetting) = (self.sensors(), settings.forgetting);
         self.rates[..2 * n].iter_mut().for_each(|rate| *rate *= forgetting);
         if settings.memory == Memory::Sticky {
             self.remember_moves(sample, gamma, forgetting);
         }
-        for (one, gamma) in sample.arrived.iter().zip(gamma) {
-            self.rates[one.sensor] += 1.0 - gamma;
-            self.rates[n + one.sensor] += gamma;
+        for ((one, &gamma), p) in sample.arrived.iter().zip(gamma).zip(&prior.attacked) {
+            let honest = match settings.memory {
+                Memory::Rate => gamma / (gamma + (1.0 - gamma) * (1.0 - p) / p * ODDS),
+                _ => gamma,
+            };
+            self.rates[one.sensor] += 1.0 - honest;
+            self.rates[n + one.sensor] += honest;
         }
     }
 

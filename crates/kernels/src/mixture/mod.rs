@@ -278,7 +278,7 @@ impl Mixture {
         let verdict = self.conclude(work, winner, rival);
         x.iter_mut().zip(&work.posterior.shift).for_each(|(x, shift)| *x += shift);
         self.report(work, (*k, x, prior), &verdict, out);
-        past.remember(&self.settings, &work.sample, &work.gamma);
+        past.remember(&self.settings, &work.sample, &work.odds, &work.gamma);
         work.posterior.predict(&self.model, *k, prior);
         self.model.predict(*k, x, u, &mut work.next);
         std::mem::swap(x, &mut work.next);

@@ -17,7 +17,7 @@ const CLIP: f64 = 4.0;
 const WIDEST: f64 = 1e13;
 
 /// Least doubt and least belief of a sensor that is undecided.
-const UNDECIDED: f64 = 0.1;
+const UNDECIDED: f64 = 1.0 / 3.0;
 
 impl Mixture {
     /// Average what the others do not expect of every sensor, and withdraw belief where that is too far from nothing;

@@ -24,8 +24,10 @@ pub enum Attacked {
 /// What is remembered of a sensor's past.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Memory {
-    /// How often it lied lately.
+    /// How often its samples alone looked like lies lately.
     Rate,
+    /// How often it was doubted lately, doubt from the past included.
+    Doubt,
     /// How often it began and ended lying lately.
     Sticky,
 }
