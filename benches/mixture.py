@@ -102,7 +102,8 @@ def in_numpy(plant: Plant, prior: Belief, y: Float) -> Float:
         x = x + P @ (C.T @ eta)
         states.append(x)
         x, P = plant.A @ x, plant.A @ P @ plant.A.T + plant.Q
-        lied, told = keep * lied + 1 - gamma, keep * told + gamma
+        alone = gamma / (gamma + (1 - gamma) * (1 - p) / p / 9)
+        lied, told = keep * lied + 1 - alone, keep * told + alone
     return np.array(states)
 
 

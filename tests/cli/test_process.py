@@ -20,8 +20,8 @@ PLAIN = START.format("from securestate.cli import main")
 SLOW = START.format(
     "from securestate.cli import job, main; import time; job.BLOCK = 1; "
     "run = job.Run.concat; start = job.run_in_blocks; "
-    "job.run_in_blocks = lambda e, d, covariance, advance: start("
-    "e, d, covariance=covariance, advance=lambda n: (print('step', flush=True), time.sleep(0.01)))"
+    "job.run_in_blocks = lambda e, d, first, covariance, advance: start("
+    "e, d, first, covariance=covariance, advance=lambda n: (print('step', flush=True), time.sleep(0.01)))"
 )
 
 
