@@ -72,7 +72,7 @@ SETTINGS: list[dict[str, Any]] = [
 
 def assert_equals_textbook(run: Run, expected: book.Textbook, tolerance: float = 1e-8) -> None:
     """Nothing was decided by rounding: no gap, belief, evidence or weight was within 1e-7 of a bound."""
-    assert expected.margin > 1e-9
+    assert expected.margin > 1e-7
     assert run.P is not None
     plant, scale = run.plant, run.plant.scale
     np.testing.assert_allclose(run.x, expected.x, rtol=0, atol=tolerance * np.abs(expected.x).max())
@@ -95,7 +95,7 @@ def test_sensors_of_all_kinds_with_inputs_and_gaps_equal_the_textbook(
 ) -> None:
     T, varying = 30, n % 2 == 0
     plant = random_plant(n, n, varying=T if varying else None, protected=("s6",) if n != 3 else ())
-    y, u = attacked_data(plant, T, n, missing=0.15 if n > 1 else 0.0)
+    y, u = attacked_data(plant, T, n + 10, missing=0.15 if n > 1 else 0.0)
     prior = some_prior(plant)
     assert prior.P is not None
     run = InnovationMixture(plant, **settings).run(y, u, prior)
@@ -106,7 +106,7 @@ def test_sensors_of_all_kinds_with_inputs_and_gaps_equal_the_textbook(
 @pytest.mark.parametrize("channels", [(1, 1, 1, 1), (2, 1, 2, 1)])
 def test_halves_that_contradict_each_other_are_merged_as_in_the_textbook(channels: tuple[int, ...]) -> None:
     merged = ambiguous = 0
-    for seed in range(3):
+    for seed in range(10, 13):
         rng = np.random.default_rng(seed)
         sensors = [
             Sensor(f"s{i}", C=rng.uniform(0.5, 2, (m, 1)), R=0.02 * np.eye(m) + 0.01)

@@ -23,20 +23,9 @@ from securestate import (
 )
 from securestate.estimators import METHODS
 from tests.estimators.kalman_cases import Array
+from tests.estimators.run_arrays import RUN_ARRAYS
 
 T = 40
-ARRAYS = (
-    "x",
-    "x_std",
-    "P",
-    "trust",
-    "suspected",
-    "attack",
-    "attack_std",
-    "innovation",
-    "innovation_std",
-    "status",
-)
 
 
 def plant_of(*, varying: bool = False) -> Plant:
@@ -66,7 +55,7 @@ def records(plant: Plant, runs: int) -> tuple[Array, Array]:
 
 
 def assert_same(one: Run, other: Run) -> None:
-    for name in ARRAYS:
+    for name in RUN_ARRAYS:
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     for name, values in one.diagnostics.items():
         np.testing.assert_array_equal(values, other.diagnostics[name])
@@ -94,10 +83,10 @@ def test_every_method_goes_on_from_the_belief(method: str, varying: bool) -> Non
         np.testing.assert_array_equal(single.suspected[:tau], first.suspected)
         assert np.isnan(single.innovation[:tau]).all() and not np.isnan(single.innovation[tau:]).any()
         assert all(np.isnan(values[:tau]).all() for values in single.diagnostics.values())
-        for name in ARRAYS:
+        for name in RUN_ARRAYS:
             np.testing.assert_array_equal(getattr(batch, name)[i], getattr(single, name))
         late = later(estimator, tau).run(y[i, tau:], u[tau:], belief(estimator, first))
-        for name in ARRAYS:
+        for name in RUN_ARRAYS:
             np.testing.assert_array_equal(getattr(single, name)[tau:], getattr(late, name))
 
 

@@ -1,4 +1,4 @@
-"""What mixture fusion needs before any data: the steady state of every sensor's own filter."""
+"""What mixtures need before any data: independent noise, and each sensor's own filter for mixture fusion."""
 
 from __future__ import annotations
 
@@ -6,29 +6,38 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate._steady_state import steady_state
-from securestate.errors import DesignError
+from securestate.errors import DesignError, InputError
 from securestate.plant import Plant, Sensor
 
 Float = NDArray[np.float64]
 
 
-def refuse_unsuitable(plant: Plant) -> None:
-    """Refuse a plant that the method is not made for.
+def refuse_shared_noise(plant: Plant) -> None:
+    """Refuse a plant whose R correlates two sensors.
 
     Raises:
-        DesignError: the plant varies in time, or the noise of two sensors is correlated; names them.
+        DesignError: names the first two.
     """
-    if plant.time_varying:
-        raise DesignError("mixture fusion needs a time-invariant plant", "give constant A and C")
     apart = plant.channel_sensor[:, np.newaxis] != plant.channel_sensor
     correlated = np.argwhere(apart & (plant.R != 0))
     if len(correlated):
         one, other = (plant.sensor_names[plant.channel_sensor[channel]] for channel in correlated[0])
         raise DesignError(
-            f"the noise of the sensors {one!r} and {other!r} is correlated, and mixture fusion weighs every"
-            " sensor by itself",
-            "make them one sensor with several channels, or give them independent noise",
+            f"the noise of the sensors {one!r} and {other!r} is correlated, and a mixture weighs every sensor"
+            " by itself, given the state",
+            "make them one sensor with several channels, or add their common noise as a state",
         )
+
+
+def one_of(argument: str, value: object, choices: tuple[str, ...]) -> str:
+    """One of some words.
+
+    Raises:
+        InputError: it is none of them.
+    """
+    if not isinstance(value, str) or value not in choices:
+        raise InputError(argument, " or ".join(f'"{choice}"' for choice in choices), repr(value))
+    return value
 
 
 def local_priors(plant: Plant) -> Float:

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from scipy import special
 
 from securestate import _kernels
+from securestate._checks import yes_or_no
 from securestate._steady_state import SteadyState
-from securestate.errors import DesignError, InputError
+from securestate.errors import InputError
 from securestate.estimators import _detectors
+from securestate.estimators._mixture_design import one_of, refuse_shared_noise
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
 from securestate.plant import Plant
@@ -112,16 +114,11 @@ class InnovationMixture(Estimator):
     ) -> None:
         self.steady, self.no_steady_state = steady_or_reason(plant)
         refuse_shared_noise(plant)
-        _one_of("form", form, "propagation", "belief")
-        _one_of("attacked", attacked, "learned", "student")
-        _one_of("memory", memory, "rate", "doubt", "sticky")
-        if not isinstance(merge, bool):
-            raise InputError("merge", "True or False", repr(merge))
         settings = {
-            "form": form,
-            "attacked": attacked,
-            "memory": memory,
-            "merge": merge,
+            "form": one_of("form", form, ("propagation", "belief")),
+            "attacked": one_of("attacked", attacked, ("learned", "student")),
+            "memory": one_of("memory", memory, ("rate", "doubt", "sticky")),
+            "merge": yes_or_no("merge", merge, InputError),
             "kappa": _between("kappa", kappa, 1e-6, 1e12),
             "forgetting": _between("forgetting", forgetting, 0.0, 1.0),
             "monitor": None if monitor is None else _between("monitor", monitor, 0.0, 1.0),
@@ -149,32 +146,11 @@ class InnovationMixture(Estimator):
         super().__init__(plant, kernel, settings)
 
 
-def refuse_shared_noise(plant: Plant) -> None:
-    """Refuse a plant whose R correlates two sensors.
-
-    Raises:
-        DesignError: names the first two.
-    """
-    owner = np.asarray(plant.channel_sensor)
-    shared = np.argwhere((plant.R != 0) & (owner[:, np.newaxis] != owner))
-    if len(shared):
-        a, b = (plant.sensor_names[owner[channel]] for channel in shared[0])
-        raise DesignError(
-            f"R correlates sensors {a!r} and {b!r}; a mixture judges sensors one by one, given the state",
-            "make them one sensor with several channels, or add their common noise as a state",
-        )
-
-
 def _student(channels: int, kappa: float) -> Float:
     """Log constant of t_nu with scale kappa less that of N(0, I) in 0, 1, ... dimensions, (channels + 1,)."""
     m = np.arange(channels + 1)
     gamma = special.gammaln((DEGREES + m) / 2) - special.gammaln(DEGREES / 2)
     return np.asarray(gamma - m / 2 * np.log(DEGREES * kappa / 2), dtype=np.float64)
-
-
-def _one_of(name: str, value: object, *known: str) -> None:
-    if value not in known:
-        raise InputError(name, " or ".join(f'"{word}"' for word in known), repr(value))
 
 
 def _between(name: str, value: object, low: float, high: float) -> float:

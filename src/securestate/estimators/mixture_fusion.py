@@ -28,8 +28,8 @@ from typing import Literal, final
 from securestate import _kernels
 from securestate._checks import whole_number, yes_or_no
 from securestate._steady_state import SteadyState
-from securestate.errors import InputError
-from securestate.estimators._mixture_design import local_priors, refuse_unsuitable
+from securestate.errors import DesignError, InputError
+from securestate.estimators._mixture_design import local_priors, one_of, refuse_shared_noise
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
 from securestate.plant import Plant
@@ -135,15 +135,17 @@ class MixtureFusion(Estimator):
         self.steady, self.no_steady_state = steady_or_reason(plant)
         settings: dict[str, object] = {
             "epsilon": (threshold := _checked_epsilon(epsilon)),
-            "init": _one_of("init", init, INITS),
+            "init": one_of("init", init, INITS),
             "literal": yes_or_no("literal", literal, InputError),
             "start": whole_number("start", start, 0, InputError),
-            "mean": _one_of("mean", mean, MEANS),
-            "floor": _one_of("floor", floor, FLOORS),
+            "mean": one_of("mean", mean, MEANS),
+            "floor": one_of("floor", floor, FLOORS),
             "feedback": yes_or_no("feedback", feedback, InputError),
             "cap": whole_number("cap", cap, 1, InputError),
         }
-        refuse_unsuitable(plant)
+        if plant.time_varying:
+            raise DesignError("mixture fusion needs a time-invariant plant", "give constant A and C")
+        refuse_shared_noise(plant)
         kernel = _kernels.mixture_fusion(
             plant,
             prior_covariance(self.steady),
@@ -165,9 +167,3 @@ def _checked_epsilon(value: object) -> float | None:
     if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= float(value) <= 1:
         raise InputError("epsilon", "a number in [0, 1], or None", repr(value))
     return float(value)
-
-
-def _one_of(argument: str, value: object, choices: tuple[str, ...]) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise InputError(argument, " or ".join(f'"{choice}"' for choice in choices), repr(value))
-    return value
