@@ -1,0 +1,275 @@
+"""The relevant modes of a plant as whole eigenspaces, and what every sensor sees of them.
+
+A vector v with A v = lambda v is a motion of the plant that looks like itself at every sample. Whoever wants to
+tell x from x + v has to see v, so everything about resilience is a question about eigenspaces ker(A - lambda I)
+and the rows X_i = C_i V of the sensors in a basis V.
+
+Computed eigenvalues are exact for a matrix within eps ||A||. Three consequences:
+    * A Jordan block of size k scatters its eigenvalue over eps^(1/k), and an eigenvector of each scattered value
+      would be taken for a mode of its own. The mean of the cluster is accurate to eps, and replaces it where
+      A - mean I is singular.
+    * Eigenvalues closer than `tol` share one eigenspace. A larger space can only lower counts, which is safe.
+    * "Sensor i sees v" means ||C_i v|| > blind ||C_i|| ||v||, `blind` never below the accuracy of V.
+All norms are taken in units of the states in which A and C are balanced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+#: Real for a real eigenvalue, complex for one of a pair.
+Field = NDArray[Any]
+
+#: Relative singular value of A - lambda I, and share of a direction that a sensor sees, that count as zero.
+TOLERANCE = 1e-8
+#: Reaches within which neighbouring eigenvalues may be one scattered eigenvalue, in units of ||A||.
+RADII = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
+#: Distance that counts as none, in units of ||A||.
+ROUNDING = 1e-13
+#: Largest distance of a scattered eigenvector, of length 1, from the eigenspace that it stands for.
+SPAN = 0.05
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Eigenspace:
+    """ker(A - lambda I) for one eigenvalue, to the tolerance asked for.
+
+    Attributes:
+        value: the eigenvalue; one with a positive imaginary part stands for itself and its conjugate.
+        V: (n, g), a basis; its columns are orthonormal in the balanced states z = x / `scale`.
+        scale: (n,), the balanced units of the states.
+        blind: share of ||C_i|| ||v|| below which a sensor does not see v.
+    """
+
+    value: complex
+    V: Field
+    scale: Array
+    blind: float
+
+    @property
+    def multiplicity(self) -> int:
+        """Geometric multiplicity g."""
+        return int(self.V.shape[1])
+
+    def within(self, basis: Field) -> Eigenspace:
+        """The part of it that the columns of `basis`, (g, h), orthonormal, span."""
+        return Eigenspace(self.value, self.V @ basis, self.scale, self.blind)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """What sensors see of an eigenspace: sensor i sees V u if and only if a row of it is not orthogonal to u.
+
+    Attributes:
+        rows: (R, g), orthonormal rows per sensor; a sensor that sees nothing has none.
+        owner: (R,), the sensor of every row.
+        sensors: N, how many sensors there are.
+        blind: |row u| <= blind ||u|| counts as zero.
+    """
+
+    rows: Field
+    owner: Indices
+    sensors: int
+    blind: float
+
+    @property
+    def dimension(self) -> int:
+        """g."""
+        return int(self.rows.shape[1])
+
+    def support(self, u: Field) -> Indices:
+        """The sensors that see V u."""
+        return np.unique(self.owner[np.abs(self.rows @ u) > self.blind * np.linalg.norm(u)])
+
+    def only(self, kept: NDArray[np.bool_]) -> Sight:
+        """The rows of some sensors, `kept` (N,); the others count as absent."""
+        mine = kept[self.owner]
+        return Sight(self.rows[mine], self.owner[mine], self.sensors, self.blind)
+
+
+def eigenspaces(A: Array, C: Array, cut: float, tol: float = TOLERANCE) -> tuple[Eigenspace, ...]:
+    """Find the eigenspaces of all eigenvalues with |lambda| >= cut, largest first.
+
+    Args:
+        A: (n, n).
+        C: (m, n), each row in units of its own noise; it only balances the units of the states.
+        cut: 0 for all eigenvalues.
+        tol: eigenvalues this close, in units of max(1, ||A||), count as equal.
+    """
+    scale = balanced_units(A, C)
+    A = A / scale[:, None] * scale
+    size = max(1.0, float(np.linalg.norm(A, 2)))
+    values, vectors = np.linalg.eig(A)
+    skewness = float(np.linalg.cond(vectors))
+    distinct = [_upper(z, size) for z in _settle(A, values, vectors, skewness, tol * size, size)]
+    found: list[tuple[complex, Field, float]] = []
+    for value in sorted((z for z in distinct if z.imag >= 0), key=lambda z: (-abs(z), -z.real)):
+        if abs(value) >= cut and not _listed(A, value, found, tol * size):
+            found.append((value, *_kernel(A, value, values, vectors, skewness, tol * size, size)))
+    rounding = 100 * np.finfo(np.float64).eps * size
+    return tuple(
+        Eigenspace(value, scale[:, None] * V, scale, max(tol, rounding / max(gap, 1e-5)))
+        for value, V, gap in found
+    )
+
+
+def sight(space: Eigenspace, C: Array, channel_sensor: NDArray[np.integer], sensors: int) -> Sight:
+    """What sensors with the rows C, (m, n), in units of their noise, see of an eigenspace."""
+    C, V = C * space.scale, space.V / space.scale[:, None]
+    seen = C @ V
+    alone = np.bincount(channel_sensor, minlength=sensors)[channel_sensor] == 1
+    lengths = np.linalg.norm(seen, axis=1)
+    kept = alone & (lengths > space.blind * np.linalg.norm(C, axis=1))
+    rows, owner = [seen[kept] / lengths[kept][:, None]], [channel_sensor[kept]]
+    for i in np.unique(channel_sensor[~alone]):
+        own = channel_sensor == i
+        _, shares, Wh = np.linalg.svd(seen[own], full_matrices=False)
+        mine = Wh[: len(shares)][shares > space.blind * np.linalg.norm(C[own], 2)]
+        rows.append(mine)
+        owner.append(np.full(len(mine), i))
+    owners = np.concatenate(owner).astype(np.intp)
+    order = np.argsort(owners, kind="stable")
+    return Sight(np.vstack(rows)[order], owners[order], sensors, space.blind)
+
+
+def kernel_of(rows: Field, tol: float) -> Field:
+    """Orthonormal columns that span the vectors u with |rows u| <= tol ||u||, for rows of length about 1."""
+    g = rows.shape[1]
+    if not len(rows):
+        return np.eye(g, dtype=rows.dtype)
+    _, shares, Wh = np.linalg.svd(rows, full_matrices=len(rows) < g)
+    basis: Field = Wh[int(np.sum(shares > tol)) :].conj().T
+    return basis
+
+
+def balanced_units(A: Array, C: Array) -> Array:
+    """Units of the states in which the largest entries of A and C are about even, (n,), powers of two.
+
+    For every state: the largest influence on it and of it, off the diagonal of A, are made equal, and the
+    largest entry of its column of C is made 1 (every row of C being scaled to a largest entry of 1). Where both
+    can be asked for, the geometric mean of both wishes is taken. Powers of two change no digit.
+    """
+    n = len(A)
+    coupling = np.where(np.eye(n, dtype=bool), 0.0, np.abs(A))
+    seen = np.abs(C)
+    scale = np.ones(n)
+    for _ in range(30):
+        by_state = coupling / scale[:, None] * scale
+        by_row = seen * scale
+        shown = (by_row / _or_one(by_row.max(axis=1, initial=0.0))[:, None]).max(axis=0, initial=0.0)
+        into, out = by_state.max(axis=1, initial=0.0), by_state.max(axis=0, initial=0.0)
+        even = np.where((into > 0) & (out > 0), np.log(_or_one(into)) - np.log(_or_one(out)), 0.0) / 2
+        loud = np.where(shown > 0, -np.log(_or_one(shown)), 0.0)
+        wishes = ((into > 0) & (out > 0)).astype(float) + (shown > 0)
+        scale = scale * np.exp((even + loud) / np.maximum(wishes, 1.0))
+    units: Array = np.exp2(np.round(np.log2(scale)))
+    return units
+
+
+def _settle(
+    A: Array, values: Field, vectors: Field, skewness: float, tol: float, size: float
+) -> Iterator[complex]:
+    """Replace clusters of eigenvalues that are one scattered eigenvalue by their mean."""
+    waiting = [(np.arange(len(values)), 0)]
+    while waiting:
+        members, level = waiting.pop()
+        if len(members) == 1 or level == len(RADII):
+            yield from (complex(z) for z in values[members])
+            continue
+        for group in _linked(values, members, RADII[level] * size):
+            mean = _upper(complex(values[group].mean()), size, tol)
+            scatter = float(np.abs(values[group] - mean).max())
+            least = float(np.abs(values - mean).min()) / skewness  # of the singular values of A - mean I
+            limit = min(tol, 1e-3 * scatter + ROUNDING * size)
+            if len(group) == 1 or scatter <= ROUNDING * size:
+                yield mean
+            elif least <= limit and _is_one(A, mean, vectors[:, group], limit, tol):
+                yield mean
+            else:
+                waiting.append((group, level + 1))
+
+
+def _linked(values: Field, members: Indices, reach: float) -> Iterator[Indices]:
+    """Groups of members that are linked by steps up to `reach`."""
+    near = np.abs(values[members][:, None] - values[members]) <= reach
+    left = np.ones(len(members), dtype=bool)
+    while left.any():
+        group = np.zeros(len(members), dtype=bool)
+        edge = np.arange(len(members)) == int(np.argmax(left))
+        while edge.any():
+            group |= edge
+            edge = near[edge].any(axis=0) & ~group
+        left &= ~group
+        yield members[group]
+
+
+def _is_one(A: Array, value: complex, vectors: Field, limit: float, tol: float) -> bool:
+    """Whether the mean of a cluster is an eigenvalue itself, and the members' eigenvectors belong to it.
+
+    The members of a Jordan block have nearly the same eigenvector; eigenvalues that only lie symmetrically
+    around a third have their own.
+    """
+    _, sizes, Vh = np.linalg.svd(_shifted(A, value))
+    if sizes[-1] > limit:
+        return False
+    V = Vh[sizes <= tol].conj().T
+    return bool(np.all(np.linalg.norm(vectors - V @ (V.conj().T @ vectors), axis=0) <= SPAN))
+
+
+def _listed(A: Array, value: complex, found: list[tuple[complex, Field, float]], tol: float) -> bool:
+    """Whether the eigenspace of a nearly equal eigenvalue, found before, contains this one's."""
+    for other, V, _ in found:
+        if abs(value - other) <= 2 * tol:
+            if abs(value - other) <= 0.01 * tol or V.shape[1] == len(A):
+                return True
+            mine = _null_space(A, value, tol)[0]
+            if np.linalg.norm(mine - V @ (V.conj().T @ mine)) < 1e-4:
+                return True
+    return False
+
+
+def _kernel(
+    A: Array, value: complex, values: Field, vectors: Field, skewness: float, tol: float, size: float
+) -> tuple[Field, float]:
+    """ker(A - value I), orthonormal, and the smallest singular value outside of it.
+
+    The second smallest singular value of A - lambda I is at least the distance of lambda to the next
+    eigenvalue over the condition number of the eigenvectors. Where that settles that there is one direction,
+    no singular value decomposition is needed.
+    """
+    apart = np.abs(values - value)
+    own = int(np.argmin(apart))
+    gap = float(np.min(np.delete(apart, own), initial=np.inf)) / skewness
+    if apart[own] <= ROUNDING * size and gap > 10 * tol:
+        v = vectors[:, [own]] if value.imag else vectors[:, [own]].real
+        return v / np.linalg.norm(v), gap
+    return _null_space(A, value, tol)
+
+
+def _null_space(A: Array, value: complex, tol: float) -> tuple[Field, float]:
+    _, sizes, Vh = np.linalg.svd(_shifted(A, value))
+    g = max(1, int(np.sum(sizes <= tol)))
+    gap = float(sizes[-g - 1]) if g < len(A) else np.inf
+    return Vh[len(A) - g :].conj().T, gap
+
+
+def _shifted(A: Array, value: complex) -> Field:
+    return A - (value if value.imag else value.real) * np.eye(len(A))
+
+
+def _upper(value: complex, size: float, tol: float = 0.0) -> complex:
+    """The value as a plain complex number, real if its imaginary part is mere rounding."""
+    return complex(value.real, value.imag if abs(value.imag) > max(tol, ROUNDING * size) else 0.0)
+
+
+def _or_one(sizes: Array) -> Array:
+    return np.where(sizes > 0, sizes, 1.0)
