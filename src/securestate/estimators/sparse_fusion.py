@@ -26,6 +26,7 @@ form="paper" is (31) as printed. Complex eigenvalues appear as real 2 × 2 block
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal, final
 
@@ -39,8 +40,10 @@ from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
 from securestate.estimators._pairs import Pair, jordan, takenaka_malmquist
 from securestate.estimators._sparse_design import coordinates, gamma_from_probability, kernel_design
+from securestate.estimators._sparse_margin import penalties
 from securestate.estimators.base import Estimator
 from securestate.plant import Plant
+from securestate.resilience.fusion_margin import FusionMargin, Penalties, fusion_margin
 
 Float = NDArray[np.float64]
 
@@ -135,6 +138,7 @@ class SparseFusion(Estimator):
     missing_limit = MISSING_LIMIT
     takes_covariance = False
     decomposition: Decomposition
+    _penalties: Penalties
 
     def __init__(
         self,
@@ -172,8 +176,33 @@ class SparseFusion(Estimator):
             "gamma": np.unique(gammas).tolist() if gamma is None else np.asarray(gamma).tolist(),
             "refit": refit,
         }
+        self._penalties = penalties(self.decomposition, axes, gammas)
         kernel = _kernels.sparse_fusion(kernel_design(plant, self.decomposition, axes, gammas, refit=refit))
         super().__init__(plant, kernel, settings)
+
+    def margin(
+        self, attacked: int | Iterable[str], *, time_limit: float = 60.0, decide: bool = False
+    ) -> FusionMargin:
+        """Tell whether the error stays bounded whatever some sensors inject (Theorem 4).
+
+        Args:
+            attacked: how many sensors lie, any that are not protected, or the names of those that do.
+            time_limit: seconds after which the bounds of rho are returned as they are.
+            decide: stop as soon as it is known whether rho < 1.
+
+        Raises:
+            InputError: attacked is neither a whole number >= 0 nor names of sensors.
+
+        Examples:
+            >>> from securestate import Plant, Sensor, SparseFusion
+            >>> sensors = [Sensor(name, C=[[1.0]], R=1.0) for name in ("a", "b", "c")]
+            >>> plant = Plant([[1.0]], [[1.0]], sensors)
+            >>> print(SparseFusion(plant).margin(1))
+            secure against 1 (rho 0.5)
+        """
+        return fusion_margin(
+            self.plant, self._penalties, attacked, time_limit=time_limit, decide=decide
+        )
 
 
 def _check_settings(

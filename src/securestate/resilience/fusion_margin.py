@@ -1,0 +1,144 @@
+"""The margin of an estimator that explains readings by as little lying as possible.
+
+Such an estimator minimises a sum of penalties, one per sensor. If the honest sensors together object to a direction
+u more than the liars can gain by it, no lie of any size moves the estimate far:
+
+    rho = max over u != 0 of  sum over attacked i of |G_i u|  /  sum over the others of |G_i u|   < 1.
+
+Above 1 a lie that follows the worst u moves the estimate in proportion to its size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate._checks import whole_number
+from securestate.errors import InputError
+from securestate.plant import Plant
+from securestate.resilience._share import Attacked, Norms, Share, largest_share
+from securestate.resilience.eigenspaces import Array
+from securestate.resilience.lie import Lie, lie_along
+from securestate.resilience.margin import noise_scaled
+
+#: A direction whose penalties are below this share of the largest is one that no sensor objects to.
+UNSEEN = 1e-9
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Penalties:
+    """What an estimator makes sensors pay for a direction u of the modes without a prior.
+
+    Attributes:
+        blocks: H_b, (r_b, d); sensor i pays the sum of ||H_b u||_2 over its blocks.
+        owner: the sensor of every block.
+        V: (n, d), the state moves by V u.
+    """
+
+    blocks: tuple[Array, ...]
+    owner: tuple[int, ...]
+    V: Array
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class FusionMargin:
+    """Whether the estimate stays bounded whatever some sensors inject.
+
+    Attributes:
+        attacked: how many sensors lie.
+        lower, upper: bounds of rho, >= 0, `inf` if nobody honest objects.
+        sensors: the worst set found, by name.
+        lie: what they should say; None if no mode needs a prior and nothing moves without bound.
+    """
+
+    attacked: int
+    lower: float
+    upper: float
+    sensors: tuple[str, ...]
+    lie: Lie | None
+
+    @property
+    def verdict(self) -> Literal["secure", "insecure", "undecided"]:
+        """secure: rho < 1 for certain; insecure: `lie` breaks it; undecided: the bounds enclose 1."""
+        return "secure" if self.upper < 1 else "insecure" if self.lower >= 1 else "undecided"
+
+    def __str__(self) -> str:
+        exact = self.upper - self.lower <= 2e-3 * max(1.0, self.lower) or np.isinf(self.lower)
+        value = f"{self.lower:.3g}" if exact else f"{self.lower:.3g} to {self.upper:.3g}"
+        return f"{self.verdict} against {self.attacked} (rho {value})"
+
+
+def fusion_margin(
+    plant: Plant,
+    penalties: Penalties,
+    attacked: int | Iterable[str],
+    *,
+    gap: float = 1e-3,
+    time_limit: float = 60.0,
+    decide: bool = False,
+) -> FusionMargin:
+    """Bounds of rho for any `attacked` unprotected sensors, or for the named ones.
+
+    Args:
+        plant: whose sensors they are.
+        penalties: of the estimator.
+        attacked: how many sensors lie, or the names of those that do.
+        gap: relative error of rho at which the exact search stops.
+        time_limit: seconds; after that the bounds are what they are.
+        decide: stop as soon as it is known whether rho < 1.
+
+    Raises:
+        InputError: attacked is no whole number >= 0 and no names of sensors.
+    """
+    who = _attacked(plant, attacked)
+    if not penalties.V.shape[1] or who.count == 0:
+        return FusionMargin(who.count, 0.0, 0.0, (), None)
+    free = _unseen(penalties)
+    if free is not None:
+        share = Share(1.0, 1.0, free, _loudest(plant, penalties.V @ free, who))
+    else:
+        norms = Norms.of(penalties.blocks, penalties.owner, plant.n_sensors)
+        share = largest_share(norms, who, gap=gap, time_limit=time_limit, decide=decide)
+    sensors = tuple(int(i) for i in share.sensors)
+    lie = lie_along(plant, noise_scaled(plant), sensors, penalties.V @ share.direction, penalties.V)
+    return FusionMargin(who.count, _rho(share.lower), _rho(share.upper), lie.sensors, lie)
+
+
+def _attacked(plant: Plant, attacked: int | Iterable[str]) -> Attacked:
+    if isinstance(attacked, int):
+        count = whole_number("attacked", attacked, 0, InputError)
+        return Attacked(~plant.protected, min(count, int((~plant.protected).sum())))
+    names = (attacked,) if isinstance(attacked, str) else tuple(attacked)
+    for name in names:
+        if name not in plant.sensor_names:
+            raise InputError("attacked", "names of sensors of the plant, or how many lie", repr(name))
+    return Attacked.exactly([plant.sensor_names.index(name) for name in names], plant.n_sensors)
+
+
+def _unseen(penalties: Penalties) -> Array | None:
+    """A direction that costs no sensor anything; None if every direction costs somebody something."""
+    d = penalties.V.shape[1]
+    stacked = np.vstack([np.zeros((1, d)), *penalties.blocks])
+    lengths = np.linalg.norm(stacked, axis=0)
+    if not lengths.all():
+        unit: Array = np.eye(d)[int(np.argmin(lengths))]
+        return unit
+    _, shares, Wh = np.linalg.svd(stacked / lengths)
+    return None if len(stacked) >= d and shares[-1] > UNSEEN * shares[0] else Wh[-1] / lengths
+
+
+def _loudest(plant: Plant, v: Array, who: Attacked) -> NDArray[np.intp]:
+    """Of the sensors that may lie those that see most of v."""
+    seen = np.zeros(plant.n_sensors)
+    np.add.at(seen, plant.channel_sensor, (noise_scaled(plant) @ v) ** 2)
+    return np.sort(who.loudest(seen[None])[0])
+
+
+def _rho(kappa: float) -> float:
+    return np.inf if kappa >= 1 else kappa / (1 - kappa)
