@@ -1,7 +1,7 @@
 """One sensor of a plant, checked on construction."""
 
 from collections.abc import Sequence
-from typing import final
+from typing import Any, final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -79,19 +79,19 @@ class Sensor(Value):
 
     def from_sample(self, first: int) -> "Sensor":
         """Return the same sensor, counted from sample `first` on."""
-        if self.C.ndim == 2:
-            return self
-        return Sensor(
-            self.name,
-            self.C[first:],
-            self.R,
-            D=self.D,
-            protected=self.protected,
-            channels=self.channels,
-            offset=self.offset,
-            scale=self.scale,
-            unit=self.unit,
-        )
+        return self if self.C.ndim == 2 else self.replaced(C=self.C[first:])
+
+    def replaced(self, **changes: Any) -> "Sensor":
+        """Return the same sensor with other arguments; a new name renames the channels that bear the old one."""
+        same = {name: getattr(self, name) for name in ("name", "C", "R", "D", "protected", "offset", "scale")}
+        same |= {"unit": self.unit, "channels": self.channels}
+        if "name" in changes:
+            old, new = self.name, changes["name"]
+            same["channels"] = [
+                new + channel[len(old) :] if channel.startswith(old) else f"{new} {channel}"
+                for channel in self.channels
+            ]
+        return Sensor(**(same | changes))
 
     def __repr__(self) -> str:
         return f"Sensor({self.name!r}, channels={len(self.channels)}{', protected' * self.protected})"

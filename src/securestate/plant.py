@@ -50,6 +50,7 @@ from typing import ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.linalg import block_diag
 
 from securestate import _checks as check
 from securestate import _plant_build as build
@@ -245,6 +246,27 @@ class Plant(Value):
         rows = np.concatenate([np.arange(self.m)[self.channels_of(i)] for i in kept] or [np.arange(0)])
         return self._with(self.A, [self.sensors[i] for i in kept], rows)
 
+    def with_sensors(self, extra: Iterable[Sensor]) -> "Plant":
+        """Return the same plant with more sensors, whose noise depends on no other sensor's.
+
+        Raises:
+            PlantError: a name is taken, C does not fit, or a sensor comes without R.
+        """
+        more = list(extra)
+        for sensor in more:
+            if sensor.R is None:
+                raise PlantError(f"sensor {sensor.name!r}: R", "a noise covariance", "None")
+        D = np.vstack([self.D, *(np.zeros((len(s.channels), self.n_inputs)) if s.D is None else s.D for s in more)])
+        R = block_diag(self.R, *(sensor.R for sensor in more))
+        plain = [sensor.replaced(R=None, D=None) for sensor in (*self.sensors, *more)]
+        return self._copy(self.A, plain, D, R)
+
+    def with_protected(self, sensors: Iterable[int]) -> "Plant":
+        """Return the same plant with these sensors (indices from 0) protected beside those that already are."""
+        chosen = set(sensors)
+        kept = [s.replaced(protected=True) if i in chosen else s for i, s in enumerate(self.sensors)]
+        return self._with(self.A, kept, np.arange(self.m))
+
     def from_sample(self, first: int) -> "Plant":
         """Return the same plant counted from sample `first` on; itself if it does not vary in time."""
         if self.horizon is None:
@@ -258,13 +280,17 @@ class Plant(Value):
         """Return the same plant with these dynamics and sensors, whose channels are `rows` of this one."""
         own_noise = all(sensor.R is not None for sensor in self.sensors)
         own_feedthrough = any(sensor.D is not None for sensor in self.sensors)
+        D = None if own_feedthrough else self.D[rows]
+        return self._copy(A, sensors, D, None if own_noise else self.R[np.ix_(rows, rows)])
+
+    def _copy(self, A: Array, sensors: list[Sensor], D: Array | None, R: Array | None) -> "Plant":
         return Plant(
             A,
             self.Q,
             sensors,
             B=self.B,
-            D=None if own_feedthrough else self.D[rows],
-            R=None if own_noise else self.R[np.ix_(rows, rows)],
+            D=D,
+            R=R,
             dt=self.dt,
             state_names=self.state_names,
             input_names=self.input_names or None,
