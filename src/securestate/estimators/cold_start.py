@@ -14,9 +14,9 @@ from typing import Literal, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from threadpoolctl import threadpool_limits
 
 from securestate._checks import whole_number
+from securestate._threads import one_blas_thread
 from securestate._value import Value
 from securestate.errors import DesignError, InputError, MeasurementError
 from securestate.estimators._anneal import Groups
@@ -142,7 +142,7 @@ def cold_start(
     if window is not None and tau > longest:
         raise InputError("window", f"at most {longest} samples here", str(window))
     kinds = [True, False] if attacked == "any" else [attacked == "fixed"]
-    with threadpool_limits(limits=1, user_api="blas"):  # threads only slow matrices of this size down
+    with one_blas_thread():
         vain, earlier = 0, ""
         while True:
             tau = min(tau, longest)

@@ -109,6 +109,8 @@ def eigenspaces(A: Array, C: Array, cut: float, tol: float = TOLERANCE) -> tuple
     A = A / scale[:, None] * scale
     size = max(1.0, float(np.linalg.norm(A, 2)))
     values, vectors = np.linalg.eig(A)
+    if np.abs(values).max() < cut - RADII[0] * size:
+        return ()
     skewness = float(np.linalg.cond(vectors))
     distinct = [_upper(z, size) for z in _settle(A, values, vectors, skewness, tol * size, size)]
     found: list[tuple[complex, Field, float]] = []

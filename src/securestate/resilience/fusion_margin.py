@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate._checks import whole_number
+from securestate._threads import one_blas_thread
 from securestate.errors import InputError
 from securestate.plant import Plant
 from securestate.resilience._share import Attacked, Norms, Share, largest_share
@@ -96,7 +97,13 @@ def fusion_margin(
     Raises:
         InputError: attacked is no whole number >= 0 and no names of sensors.
     """
-    who = _attacked(plant, attacked)
+    with one_blas_thread():
+        return _margin(plant, penalties, _attacked(plant, attacked), gap, time_limit, decide)
+
+
+def _margin(
+    plant: Plant, penalties: Penalties, who: Attacked, gap: float, time_limit: float, decide: bool
+) -> FusionMargin:
     if not penalties.V.shape[1] or who.count == 0:
         return FusionMargin(who.count, 0.0, 0.0, (), None)
     free = _unseen(penalties)

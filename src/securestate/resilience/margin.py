@@ -82,9 +82,10 @@ def margin(plant: Plant, attacked: Iterable[int], cut: float = SLOW) -> Margin:
 
 def noise_scaled(plant: Plant) -> Array:
     """X with X_i = R_i^-1/2 C_i, (m, n): every sensor in standard deviations of its noise."""
-    X = np.empty_like(plant.C)
-    for i in range(plant.n_sensors):
-        own = plant.channels_of(i)
+    X = plant.C / np.sqrt(np.diag(plant.R))[:, None]
+    counts = np.bincount(plant.channel_sensor, minlength=plant.n_sensors)
+    for i in np.flatnonzero(counts > 1):
+        own = plant.channels_of(int(i))
         X[own] = linalg.solve_triangular(np.linalg.cholesky(plant.R[own, own]), plant.C[own], lower=True)
     return X
 
