@@ -25,7 +25,8 @@ REFERENCE = {"case14": 1, "case39": 31, "case118": 69, "case300": 7049}
 DECAY = 0.995  # of an angle in one second
 DRIFT = 1.4e-6  # rad^2 per second; what the angles of the 14-bus example have on average
 NOISE = {"flow": 0.01, "injection": 0.015, "angle": 0.001}  # standard deviations, p.u., p.u., rad
-SEED = 2024  # draws the buses with an angle sensor; in the 14-bus grid they are 3, 4 and 10
+#: Draws the buses with an angle sensor; in the 14-bus grid they are 3, 4 and 10, as in the other example.
+SEED = {"case14": 2024, "case39": 2024, "case118": 2, "case300": 2}
 
 Array = NDArray[np.float64]
 Buses = NDArray[np.int64]
@@ -38,9 +39,9 @@ def read_branches(case: str) -> tuple[Buses, Array]:
     return table[:, :2].astype(np.int64), 1 / (x * np.where(tap == 0, 1.0, tap))
 
 
-def angle_sensors(states: Buses) -> Buses:
+def angle_sensors(states: Buses, seed: int) -> Buses:
     """Draw the buses with an angle sensor, a quarter of all; the reference bus shows nothing and has none."""
-    drawn = np.random.default_rng(SEED).choice(len(states), (len(states) + 1) // 4, replace=False)
+    drawn = np.random.default_rng(seed).choice(len(states), (len(states) + 1) // 4, replace=False)
     return states[np.sort(drawn)]
 
 
@@ -82,7 +83,7 @@ def dc_grid(case: str) -> Plant:
     ends, susceptance = read_branches(case)
     buses = np.unique(ends)
     states = buses[buses != REFERENCE[case]]
-    measured = angle_sensors(states)
+    measured = angle_sensors(states, SEED[case])
     C = observation(ends, susceptance, buses, measured)[:, buses != REFERENCE[case]]
     names = flow_names(ends)
     names += [f"injection {bus}" for bus in buses] + [f"angle {bus}" for bus in measured]
