@@ -82,9 +82,8 @@ class Sensor(Value):
         return self if self.C.ndim == 2 else self.replaced(C=self.C[first:])
 
     def replaced(self, **changes: Any) -> "Sensor":
-        """Return the same sensor with other arguments; a new name renames the channels that bear the old one."""
-        same = {name: getattr(self, name) for name in ("name", "C", "R", "D", "protected", "offset", "scale")}
-        same |= {"unit": self.unit, "channels": self.channels}
+        """Return the same sensor with other arguments; a new name also renames its channels."""
+        same = dict(vars(self))
         if "name" in changes:
             old, new = self.name, changes["name"]
             same["channels"] = [

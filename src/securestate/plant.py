@@ -253,16 +253,19 @@ class Plant(Value):
             PlantError: a name is taken, C does not fit, or a sensor comes without R.
         """
         more = list(extra)
-        for sensor in more:
-            if sensor.R is None:
-                raise PlantError(f"sensor {sensor.name!r}: R", "a noise covariance", "None")
-        D = np.vstack([self.D, *(np.zeros((len(s.channels), self.n_inputs)) if s.D is None else s.D for s in more)])
-        R = block_diag(self.R, *(sensor.R for sensor in more))
+        noise = [sensor.R for sensor in more if sensor.R is not None]
+        if len(noise) < len(more):
+            bare = next(sensor.name for sensor in more if sensor.R is None)
+            raise PlantError(f"sensor {bare!r}: R", "a noise covariance", "None")
+        D = np.vstack(
+            [self.D, *(np.zeros((len(s.channels), self.n_inputs)) if s.D is None else s.D for s in more)]
+        )
+        R = block_diag(self.R, *noise)
         plain = [sensor.replaced(R=None, D=None) for sensor in (*self.sensors, *more)]
         return self._copy(self.A, plain, D, R)
 
     def with_protected(self, sensors: Iterable[int]) -> "Plant":
-        """Return the same plant with these sensors (indices from 0) protected beside those that already are."""
+        """Return the same plant with these sensors (indices from 0) protected, too."""
         chosen = set(sensors)
         kept = [s.replaced(protected=True) if i in chosen else s for i, s in enumerate(self.sensors)]
         return self._with(self.A, kept, np.arange(self.m))

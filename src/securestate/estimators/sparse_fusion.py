@@ -152,12 +152,6 @@ class SparseFusion(Estimator):
         _check_settings(plant, form, kalman_probability, gamma)
         if refit is not None:
             refit = yes_or_no("refit", refit, InputError)
-        if plant.n * plant.m > SIZE_LIMIT:
-            raise DesignError(
-                f"sparse fusion of n = {plant.n} states and m = {plant.m} channels needs a matrix of "
-                f"{plant.n * plant.m} x {plant.n * plant.m}; the limit is {SIZE_LIMIT}",
-                "use a smaller model, or the Kalman filter with a detector",
-            )
         refit = form == "robust" if refit is None else refit
         self.decomposition = _robust(plant) if form == "robust" else _paper(plant)
         axes = coordinates(plant, self.decomposition, form)
@@ -180,6 +174,24 @@ class SparseFusion(Estimator):
         kernel = _kernels.sparse_fusion(kernel_design(plant, self.decomposition, axes, gammas, refit=refit))
         super().__init__(plant, kernel, settings)
 
+    @staticmethod
+    def require(plant: Plant) -> None:
+        """Refuse a plant that varies in time or is too large for this method.
+
+        Raises:
+            DesignError: with what to use instead.
+        """
+        if plant.time_varying:
+            raise DesignError(
+                "sparse fusion needs a time-invariant plant", "use KalmanFilter for A or C that change"
+            )
+        if plant.n * plant.m > SIZE_LIMIT:
+            raise DesignError(
+                f"sparse fusion of n = {plant.n} states and m = {plant.m} channels needs a matrix of "
+                f"{plant.n * plant.m} x {plant.n * plant.m}; the limit is {SIZE_LIMIT}",
+                "use a smaller model, or the Kalman filter with a detector",
+            )
+
     def margin(
         self, attacked: int | Iterable[str], *, time_limit: float = 60.0, decide: bool = False
     ) -> FusionMargin:
@@ -200,9 +212,7 @@ class SparseFusion(Estimator):
             >>> print(SparseFusion(plant).margin(1))
             secure against 1 (rho 0.5)
         """
-        return fusion_margin(
-            self.plant, self._penalties, attacked, time_limit=time_limit, decide=decide
-        )
+        return fusion_margin(self.plant, self._penalties, attacked, time_limit=time_limit, decide=decide)
 
 
 def _check_settings(
@@ -210,10 +220,7 @@ def _check_settings(
 ) -> None:
     if not isinstance(plant, Plant):
         raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
-    if plant.time_varying:
-        raise DesignError(
-            "sparse fusion needs a time-invariant plant", "use KalmanFilter for A or C that change"
-        )
+    SparseFusion.require(plant)
     if form not in ("robust", "paper"):
         raise InputError("form", '"robust" or "paper"', repr(form))
     if probability is not None and gamma is not None:

@@ -1,10 +1,11 @@
 """Bases of an eigenspace made of rows of sensors, and every direction that few sensors of a basis see.
 
 Bound (Brouwer and Zimmermann's for linear codes, over the real or complex numbers): the rows B of a basis see
-every u != 0. If all u seen by fewer than f sensors of each of T bases are known, any other u is seen f T times in
-all, and if no sensor stands in more than L bases per unit of its weight, u weighs at least f T / L.
+every u != 0. If all u seen by fewer than f sensors of each of T bases are known, any other u is seen f T
+times in all, and if no sensor stands in more than L bases per unit of its weight, u weighs at least f T / L.
     f = 1: nothing has to be known.
-    f = 2: u seen by one row of B alone is a column of B^-1, seen by one sensor with several rows a span of columns.
+    f = 2: u seen by one row of B alone is a column of B^-1, seen by one sensor with several rows a span of
+    columns.
     f = 3: u seen by two rows of B is a combination of two columns.
 """
 
@@ -53,7 +54,7 @@ class Basis:
 
 
 def basis_along(sight: Sight, order: Indices) -> Basis | None:
-    """The basis of the first independent rows in an order (Gauss-Jordan); None if they do not span the space."""
+    """Make a basis of the first independent rows in an order (Gauss-Jordan); None if they do not span."""
     g = sight.dimension
     reduced = np.vstack([sight.rows, np.eye(g, dtype=sight.rows.dtype)])
     free = np.ones(g, dtype=bool)

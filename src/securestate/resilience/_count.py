@@ -2,10 +2,10 @@
 
     c = min over u != 0 of the weight of the sensors with X_i u != 0
 
-One dimension is counted, a plane is searched, larger spaces get bounds from bases that close at once where few
-sensors see a direction, as in grids. Where they do not, branch and bound (up to four dimensions) and a
-hitting-set programme narrow them until time runs out: the answer is always a lower and an upper bound, and the
-sensors and the direction of the upper one.
+One dimension is counted, a plane is searched, larger spaces get bounds from bases that close at once where
+few sensors see a direction, as in grids. Where they do not, branch and bound (up to four dimensions) and a
+hitting-set programme narrow them until time runs out: the answer is always a lower and an upper bound, and
+the sensors and the direction of the upper one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class Count:
         lower, upper: bounds of the weight; equal if the count is exact.
         sensors: those that see `direction`, of weight `upper`.
         direction: u, (g,), unit length.
-        method: what settled it: "rank", "counting", "plane", "bases", "pairs", "branch and bound", "hitting set".
+        method: what settled it: "rank", "counting", "plane", "bases", "pairs", "branch and bound", "hitting
+            set".
         codewords: directions met on the way that are lighter than `target`.
     """
 
@@ -175,11 +176,11 @@ class _Search:
 
     def _pairs(self) -> None:
         """Search all directions that two rows of a basis see, basis by basis."""
-        load, searched = np.zeros(self.sight.sensors), 0
-        for basis in [basis for basis in self.bases if basis.sharp][:PAIRED]:
+        load = np.zeros(self.sight.sensors)
+        sharp = [basis for basis in self.bases if basis.sharp][:PAIRED]
+        for searched, basis in enumerate(sharp, 1):
             seen_by_two(self.sight, self.weights, basis, self.best)
             load[basis.sensors] += 1
-            searched += 1
             self._raise(3 * searched / (load / self._per_weight).max())
             if self._done or time.monotonic() > self._until(0.7):
                 return

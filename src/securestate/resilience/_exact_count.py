@@ -40,8 +40,8 @@ class Best:
 def in_plane(seen: Sight, weights: Array) -> Field:
     """The direction of a plane that the least weight sees (exact).
 
-    A sensor is blind to no direction, to one, or to all. The heaviest group of sensors that are blind to the same
-    direction decides; if no sensor has a blind direction, any direction is as good.
+    A sensor is blind to no direction, to one, or to all. The heaviest group of sensors that are blind to the
+    same direction decides; if no sensor has a blind direction, any direction is as good.
     """
     single = np.bincount(seen.owner, minlength=seen.sensors) == 1
     rows, owner = seen.rows[single[seen.owner]], seen.owner[single[seen.owner]]
@@ -58,8 +58,9 @@ def in_plane(seen: Sight, weights: Array) -> Field:
 def branch_and_bound(seen: Sight, weights: Array, best: Best, deadline: float) -> None:
     """Search all u for one that less weight than `best` sees (exact unless time runs out).
 
-    Branches on the first sensor, heaviest first, that does not see u: it is either blind, which leaves a smaller
-    space, or its weight counts. At most C(best + g, g) nodes with unit weights: for small g or small counts.
+    Branches on the first sensor, heaviest first, that does not see u: it is either blind, which leaves a
+    smaller space, or its weight counts. At most C(best + g, g) nodes with unit weights: for small g or small
+    counts.
     """
     order = np.argsort(-weights, kind="stable")
     active = order[np.isin(order, seen.owner)]

@@ -2,8 +2,9 @@
 
     min w'z  subject to  sum of z over the sensors of B >= 1 for every basis B,   z in {0, 1}
 
-Bases are added when the answer avoids one: if the sensors outside of z still span the space, a basis of theirs is
-such a one; if they do not, z is the support of a u that they cannot see. (HiGHS solves every round.)
+Bases are added when the answer avoids one: if the sensors outside of z still span the space, a basis of
+theirs is such a one; if they do not, z is the support of a u that they cannot see. (HiGHS solves every
+round.)
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def _round(bases: list[Indices], weights: Array, deadline: float) -> tuple[float
     answer = milp(
         weights,
         constraints=LinearConstraint(meets, 1, np.inf),
-        integrality=np.ones(len(weights)),
+        integrality=np.ones(len(weights), dtype=np.int64),
         bounds=Bounds(0, 1),
         options={"time_limit": max(0.05, deadline - time.monotonic())},
     )

@@ -1,8 +1,8 @@
 """The smallest set of sensors that see every relevant mode between them.
 
-If nobody can tamper with them, the others may lie as they like. In every eigenspace the rows of the set must have
-full rank. For one eigenspace and sensors with one row each this is a basis, and any is as small. Otherwise: an
-integer programme with Wolsey's inequalities, added until its answer has full rank everywhere,
+If nobody can tamper with them, the others may lie as they like. In every eigenspace the rows of the set must
+have full rank. For one eigenspace and sensors with one row each this is a basis, and any is as small.
+Otherwise: an integer programme with Wolsey's inequalities, added until its answer has full rank everywhere,
 
     sum over i not in S of (rank(S + i) - rank(S)) x_i >= g - rank(S)   for every set S.
 """
@@ -57,7 +57,7 @@ def smallest_cover(sights: Sequence[Sight], time_limit: float = 30.0) -> Cover |
 
 
 def _rank_left(sight: Sight, chosen: Indices) -> tuple[int, Array]:
-    """g - rank of the chosen sensors, and by how much every sensor would raise the rank, (N,)."""
+    """Return g - rank of the chosen sensors, and by how much every sensor would raise the rank, (N,)."""
     unseen = kernel_of(sight.rows[np.isin(sight.owner, chosen)], PIVOT)
     gain = np.zeros(sight.sensors)
     if unseen.shape[1]:
@@ -92,7 +92,7 @@ def _prove(sights: Sequence[Sight], known: Indices, lower: int, deadline: float)
         answer = milp(
             np.ones(sensors),
             constraints=LinearConstraint(np.array(rows), np.array(sides), np.inf),
-            integrality=np.ones(sensors),
+            integrality=np.ones(sensors, dtype=np.int64),
             bounds=Bounds(0, 1),
             options={"time_limit": max(0.1, deadline - time.monotonic())},
         )

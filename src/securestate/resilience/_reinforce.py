@@ -2,12 +2,15 @@
 
     min sum of x   subject to   sum over i in S of (w_i + gain_i x_i) >= goal   for every support S,   x whole
 
-w_i is 1 for a sensor that is there and 0 for one that is not; a copy gains 1, protection gains the goal. Supports
-are added as they are found: the lightest with the weights of the last answer, and all other light ones on the way.
+w_i is 1 for a sensor that is there and 0 for one that is not; a copy gains 1, protection gains the goal.
+Supports
+are added as they are found: the lightest with the weights of the last answer, and all other light ones on the
+    way.
 """
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -59,7 +62,7 @@ def fewest_changes(
     while time.monotonic() < deadline:
         proved, new = _light(sights, weights + gain * times, goal, deadline, supports)
         if not new:
-            return Change(times, int(np.ceil(lower - 1e-6))) if proved else None
+            return Change(times, math.ceil(max(lower, 0.0) - 1e-6)) if proved else None
         answer = _smallest(list(supports.values()), weights, gain, most, goal, deadline)
         if answer is None:
             return None
@@ -74,7 +77,7 @@ def _light(
     deadline: float,
     known: dict[tuple[int, ...], Array],
 ) -> tuple[bool, bool]:
-    """Add all supports lighter than the goal that are met; tell whether there is certainly none, and if any is new."""
+    """Add the supports lighter than the goal that are met; tell if there is surely none, and if any is new."""
     proved, before = True, len(known)
     for sight in sights:
         limit = max(0.1, (deadline - time.monotonic()) / 4)
@@ -98,11 +101,14 @@ def _smallest(
     answer = milp(
         np.ones(len(weights)),
         constraints=LinearConstraint(rows * gain, goal - rows @ weights, np.inf),
-        integrality=np.ones(len(weights)),
+        integrality=np.ones(len(weights), dtype=np.int64),
         bounds=Bounds(0, most),
         options={"time_limit": max(0.1, deadline - time.monotonic())},
     )
-    if answer.x is None:
-        return None
+    found: Array | None = answer.x  # None: impossible, or no answer in time
     bound = answer.mip_dual_bound
-    return np.round(answer.x).astype(np.intp), 0.0 if bound is None else float(bound)
+    return (
+        None
+        if found is None
+        else (np.round(found).astype(np.intp), -np.inf if bound is None else float(bound))
+    )

@@ -2,16 +2,18 @@
 
     kappa = max over u != 0 of  sum of ||H_i u|| over attacked i  /  sum of ||H_i u|| over all i
 
-An estimator that minimises such a sum of norms stays with the honest sensors if and only if kappa < 1/2, that is,
-if rho = kappa / (1 - kappa) < 1. ||H_i u|| is a sum over the blocks of sensor i: one block in a group norm, one per
-element in a 1-norm. Sets of sensors are never enumerated: for a direction the worst p are the p loudest.
+An estimator that minimises such a sum of norms stays with the honest sensors if and only if kappa < 1/2, that
+is, if rho = kappa / (1 - kappa) < 1. ||H_i u|| is a sum over the blocks of sensor i: one block in a group
+norm, one per element in a 1-norm. Sets of sensors are never enumerated: for a direction the worst p are the p
+loudest.
 
 Three bounds, in coordinates with sum H_b' H_b = I:
     * From below, an ascent: u <- (sum of H_b' H_b / ||H_b u||)^-1 times the gradient of what is attacked.
-    * From above at any size: H_i = sum over j of Z_ij H_j with Z_ij = w_j H_i M^-1 H_j', M = sum w_j H_j' H_j, so that
-      kappa <= max over j of the p largest ||Z_ij||. The weights w, one set per i, even these norms out.
-    * Exactly, up to six dimensions: branch and bound over simplicial cones. What is attacked is convex and the
-      total is at least its tangent at the centre; a convex over a linear function is largest at a vertex.
+    * From above at any size: H_i = sum over j of Z_ij H_j with Z_ij = w_j H_i M^-1 H_j', M = sum w_j H_j'
+      H_j, so that kappa <= max over j of the p largest ||Z_ij||. The weights w, one set per i, even these
+      norms out.
+    * Exactly, up to six dimensions: branch and bound over simplicial cones. What is attacked is convex and
+      the total is at least its tangent at the centre; a convex over a linear function is largest at a vertex.
 """
 
 from __future__ import annotations
@@ -60,23 +62,24 @@ class Norms:
         depth = max(len(block) for block in blocks)
         H = np.stack([np.vstack([b, np.zeros((depth - len(b), b.shape[1]))]) for b in blocks])
         if depth > H.shape[2]:
-            H = np.linalg.qr(H, mode="r")
+            H = np.asarray(np.linalg.qr(H, mode="r"))
         _, shares, Wh = np.linalg.svd(H.reshape(-1, H.shape[2]), full_matrices=False)
         back = Wh.T / shares
         return cls(H @ back, np.array(owner, dtype=np.intp), sensors, back)
 
     @property
     def dimension(self) -> int:
-        """d."""
+        """How many directions, d."""
         return int(self.H.shape[2])
 
     def per_sensor(self, U: Array) -> Array:
         """||H_i u||, (K, N), for directions U (K, d)."""
         flat = self.H.reshape(-1, self.dimension)
-        lengths = np.linalg.norm((U @ flat.T).reshape(len(U), *self.H.shape[:2]), axis=2)
+        lengths: Array = np.linalg.norm((U @ flat.T).reshape(len(U), *self.H.shape[:2]), axis=2)
         if len(self.owner) == self.sensors and np.array_equal(self.owner, np.arange(self.sensors)):
             return lengths
-        return lengths @ (self.owner[:, None] == np.arange(self.sensors)).astype(np.float64)
+        summed: Array = lengths @ (self.owner[:, None] == np.arange(self.sensors)).astype(np.float64)
+        return summed
 
 
 @final
@@ -111,7 +114,9 @@ class Attacked:
         kept = norms[:, self.allowed]
         if self.count >= kept.shape[1]:
             return np.asarray(kept.sum(axis=1))
-        return np.asarray(np.partition(kept, kept.shape[1] - self.count, axis=1)[:, -self.count :].sum(axis=1))
+        return np.asarray(
+            np.partition(kept, kept.shape[1] - self.count, axis=1)[:, -self.count :].sum(axis=1)
+        )
 
 
 @final
@@ -208,11 +213,13 @@ def _ascend(norms: Norms, attacked: Attacked, best: _Highest) -> None:
 
 
 def bound_from_above(norms: Norms, attacked: Attacked) -> float:
-    """kappa <= max over j of the p largest sums over the blocks of i of ||Z_bj||, and of the largest per block."""
+    """Bound kappa by what p sensors have of ||Z_bj|| in the worst column j, and by their largest entries."""
     H = norms.H
     B = len(H)
     Q = np.einsum("bkl,bkm->blm", H, H).reshape(B, -1)
-    Z = np.vstack([_factor(H, Q, rows) for rows in np.array_split(np.arange(B), max(1, B * B * H[0].size // 10**6))])
+    Z = np.vstack(
+        [_factor(H, Q, rows) for rows in np.array_split(np.arange(B), max(1, B * B * H[0].size // 10**6))]
+    )
     member = (norms.owner[:, None] == np.arange(norms.sensors)).astype(np.float64)
     by_column = attacked.sum((member.T @ Z).T).max()
     by_sensor = attacked.sum((member.T @ Z.max(axis=1))[None])[0]
@@ -220,9 +227,11 @@ def bound_from_above(norms: Norms, attacked: Attacked) -> float:
 
 
 def _factor(H: Array, Q: Array, rows: Indices) -> Array:
-    """||Z_bj|| for some blocks b and all j, (len(rows), B), each with its own weights (multiplicative updates)."""
+    """||Z_bj|| for some blocks b and all j, (len(rows), B); every b has weights of its own."""
     d = H.shape[2]
-    w = np.tile(1 / np.sqrt(np.maximum(np.trace(Q.reshape(-1, d, d), axis1=1, axis2=2), 1e-300)), (len(rows), 1))
+    w = np.tile(
+        1 / np.sqrt(np.maximum(np.trace(Q.reshape(-1, d, d), axis1=1, axis2=2), 1e-300)), (len(rows), 1)
+    )
     best = np.full((len(rows), len(H)), np.inf)
     eagerness = 0.7
     for _ in range(ROUNDS):

@@ -1,8 +1,10 @@
 """The k sensors without which least is left of what all together see of an eigenspace.
 
-    eta_k = min over |I| = k and v != 0 of ||X_rest v|| / ||X v|| = sqrt of the smallest eigenvalue of I - H_II,
+    eta_k = min over |I| = k and v != 0 of ||X_rest v|| / ||X v|| = sqrt of the smallest eigenvalue of I -
+    H_II,
 
-H = X (X* X)^-1 X*, X = R^-1/2 C V. eta_k has no unit and is 0 if and only if some k sensors alone see a direction.
+H = X (X* X)^-1 X*, X = R^-1/2 C V. eta_k has no unit and is 0 if and only if some k sensors alone see a
+direction.
 """
 
 from __future__ import annotations
@@ -73,7 +75,7 @@ def worst_set(X: Field, channel_sensor: NDArray[np.int64], allowed: NDArray[np.b
 
 
 def _hat_blocks(X: Field, channel_sensor: NDArray[np.int64], sensors: int) -> Field | None:
-    """H in blocks, (N, N, c, c), rows of sensors with fewer channels filled with zeros; None if X has no full rank."""
+    """H in blocks, (N, N, c, c), zeros where a sensor has fewer channels; None if X has not full rank."""
     lengths = np.linalg.norm(X, axis=0)
     Q, R = np.linalg.qr(X / np.where(lengths > 0, lengths, 1.0))
     sizes = np.abs(np.diag(R))
@@ -89,7 +91,7 @@ def _hat_blocks(X: Field, channel_sensor: NDArray[np.int64], sensors: int) -> Fi
 
 
 def _left(H: Field, sets: Indices) -> Array:
-    """sqrt of the smallest eigenvalue of I - H_II for sets (K, k)."""
+    """Return sqrt of the smallest eigenvalue of I - H_II for sets (K, k)."""
     k, c = sets.shape[1], H.shape[2]
     parts = H[sets[:, :, None], sets[:, None, :]].transpose(0, 1, 3, 2, 4).reshape(len(sets), k * c, k * c)
     left = 1.0 - np.linalg.eigvalsh(parts)[:, -1]
@@ -145,7 +147,7 @@ def _batches(sensors: int, k: int) -> Iterator[Indices]:
 
 
 def _from_below(H: Field, k: int) -> float:
-    """Gershgorin's bound over blocks: the largest eigenvalue is at most a diagonal block plus the k - 1 largest beside."""
+    """Gershgorin's bound: no eigenvalue exceeds a diagonal block plus the k - 1 largest blocks beside it."""
     sizes = np.linalg.norm(H, 2, axis=(2, 3)) if H.shape[2] > 1 else np.abs(H[:, :, 0, 0])
     own = np.diag(sizes)
     beside = np.sort(sizes - np.diag(own), axis=1)[:, ::-1][:, : k - 1].sum(axis=1)

@@ -31,12 +31,12 @@ class Option:
     """One way to survive more liars.
 
     Attributes:
-        kind: "copy": a second sensor of the same kind at the same place; "measure": a new sensor of one state;
-            "protect": nobody can tamper with it any more.
+        kind: "copy": a second sensor of the same kind at the same place; "measure": a new sensor of one
+            state; "protect": nobody can tamper with it any more.
         items: names of sensors (copy, protect) or states (measure), and how often.
         fewest: whether it is proved that fewer of this kind do not do.
-        plant: the plant with the change made. A copy has the noise of its original, a new sensor that of the present
-            one that sees its state best.
+        plant: the plant with the change made. A copy has the noise of its original, a new sensor that of the
+            present one that sees its state best.
     """
 
     kind: Kind
@@ -70,7 +70,7 @@ def options(found: Limit, attacked: int, time_limit: float = 60.0) -> tuple[Opti
     """
     whole_number("attacked", attacked, 0, InputError)
     deadline = time.monotonic() + time_limit
-    if found.max_attacked >= attacked:
+    if found.unlimited or found.max_attacked >= attacked:
         return ()
     kinds: tuple[Kind, ...] = ("copy", "measure", "protect")
     with one_blas_thread():
@@ -101,7 +101,11 @@ def _option(found: Limit, kind: Kind, attacked: int, time_limit: float) -> Optio
     goal = 2 * attacked + 1
     owner = plant.channel_sensor
     free = (~plant.protected).astype(np.float64)
-    weights, gain, most = free, free if kind == "copy" else goal * free, free * (COPIES if kind == "copy" else 1)
+    weights, gain, most = (
+        free,
+        free if kind == "copy" else goal * free,
+        free * (COPIES if kind == "copy" else 1),
+    )
     if kind == "measure":
         X, owner = np.vstack([X, np.eye(n)]), np.concatenate([owner, np.arange(N, N + n)])
         weights = np.concatenate([free, np.zeros(n)])
@@ -109,7 +113,7 @@ def _option(found: Limit, kind: Kind, attacked: int, time_limit: float) -> Optio
         most[:N] = 0
     sights = _open_sights(found, X, owner, len(weights))
     change = fewest_changes(sights, weights, gain, most, goal, time_limit)
-    if change is None:
+    if change is None or not change.times.any():
         return None
     times = change.times[N:] if kind == "measure" else change.times
     names = plant.state_names if kind == "measure" else plant.sensor_names
@@ -123,25 +127,32 @@ def _open_sights(found: Limit, X: Array, owner: Indices, sensors: int) -> list[S
     protected = np.zeros(sensors, dtype=bool)
     protected[: plant.n_sensors] = plant.protected
     whole = [(mode.space, sight(mode.space, X, owner, sensors)) for mode in found.modes]
-    return [left[1] for space, seen in whole if (left := exposed(space, seen, X, owner, protected)) is not None]
+    return [
+        left[1] for space, seen in whole if (left := exposed(space, seen, X, owner, protected)) is not None
+    ]
 
 
 def _changed(plant: Plant, kind: Kind, times: Indices) -> Plant:
     chosen = np.flatnonzero(times)
     if kind == "protect":
         return plant.with_protected(chosen.tolist())
-    extra = (_copy(plant, i) if kind == "copy" else _gauge(plant, i) for i in np.repeat(chosen, times[chosen]))
+    extra = (
+        _copy(plant, int(i)) if kind == "copy" else _gauge(plant, int(i))
+        for i in np.repeat(chosen, times[chosen])
+    )
     return plant.with_sensors(_distinct(extra, plant.sensor_names))
 
 
 def _copy(plant: Plant, i: int) -> Sensor:
     own = plant.channels_of(i)
     sensor = plant.sensors[i]
-    return sensor.replaced(name=f"{sensor.name} (copy)", R=plant.R[own, own], D=plant.D[own] if plant.n_inputs else None)
+    return sensor.replaced(
+        name=f"{sensor.name} (copy)", R=plant.R[own, own], D=plant.D[own] if plant.n_inputs else None
+    )
 
 
 def _gauge(plant: Plant, state: int) -> Sensor:
-    """A sensor of one state, as precise as the present channel that sees it best, or as the state's own noise."""
+    """A sensor of one state, as precise as the channel that sees it best, or as the state's own noise."""
     column, noise = plant.C[:, state], np.diag(plant.R)
     seen = np.flatnonzero(column)
     precise = noise[seen] / column[seen] ** 2 if len(seen) else np.array([plant.Q[state, state] or 1.0])

@@ -9,7 +9,6 @@ Computed eigenvalues of a Jordan block of size k scatter by about eps^(1/k), but
 the means of neighbouring eigenvalues are tested too; a mean that is no eigenvalue does not lose rank.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 from securestate import _checks as check
 from securestate.errors import DesignError, InputError
 from securestate.plant import Plant
+from securestate.resilience.eigenspaces import eigenspaces, kernel_of, or_one, sight
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
@@ -125,14 +125,12 @@ def _hidden(A: Array, C: Array, cut: float, names: tuple[str, ...]) -> tuple[Mod
     least = check.real_array("cut", cut, InputError)
     if least.ndim or least < 0:
         raise InputError("cut", "a number >= 0", check.describe(cut))
-    tested = [(value, *_null_space(A, C, value)) for value in _candidates(A) if abs(value) >= least]
-    found: list[tuple[complex, Complex]] = []
-    for value, _, directions in sorted(tested, key=lambda item: item[1] > EXACT):
-        for direction in _readable(directions):
-            if not _known(value, direction, found):
-                found.append((value, direction))
-    found.sort(key=lambda item: (-abs(item[0]), -item[0].real))
-    return tuple(mode_along(value, direction, names) for value, direction in found)
+    found = []
+    for space in eigenspaces(A, C, float(least)):
+        seen = sight(space, C, np.arange(len(C)), len(C))
+        hidden = space.V @ kernel_of(seen.rows, RANK)
+        found += [mode_along(space.value, v, names) for v in readable(hidden.T.astype(np.complex128))]
+    return tuple(sorted(found, key=lambda mode: (-abs(mode.eigenvalue), -mode.eigenvalue.real)))
 
 
 def mode_along(value: complex, direction: Complex, names: tuple[str, ...]) -> Mode:
@@ -141,64 +139,7 @@ def mode_along(value: complex, direction: Complex, names: tuple[str, ...]) -> Mo
     return Mode(value, _largest(unit, names), unit)
 
 
-def _candidates(A: Array) -> list[complex]:
-    """Return means of neighbouring eigenvalues of A, widest groups first, then the eigenvalues.
-
-    Of a conjugate pair only the upper one is returned.
-    """
-    values = np.linalg.eigvals(A).astype(np.complex128)
-    means = [mean for reach in NEIGHBOURS for mean in _means(values, reach * max(1.0, np.abs(values).max()))]
-    return list({_upper(value): None for value in [*means, *values] if value.imag >= -REAL})
-
-
-def _upper(value: complex) -> complex:
-    """Return the value as a plain complex number, real if its imaginary part is mere scatter."""
-    return complex(value.real, value.imag if value.imag > REAL * max(1.0, abs(value)) else 0.0)
-
-
-def _means(values: Complex, reach: float) -> Iterator[complex]:
-    """Yield the mean of every group of two or more eigenvalues that are linked by steps up to `reach`."""
-    linked = np.abs(values[:, None] - values) <= reach
-    left = set(range(len(values)))
-    while left:
-        group = {left.pop()}
-        while grown := {j for i in group for j in np.flatnonzero(linked[i]).tolist()} & left:
-            group |= grown
-            left -= grown
-        if len(group) > 1:
-            yield complex(values[sorted(group)].mean())
-
-
-def _null_space(A: Array, C: Array, value: complex) -> tuple[float, Complex]:
-    """Return the smallest relative singular value of [A - value I; C] and the directions (d, n) lost."""
-    n = len(A)
-    with np.errstate(over="ignore"):
-        stacked = np.vstack([A - value * np.eye(n), C])
-        sizes = np.vstack([np.abs(A) + abs(value) * np.eye(n), np.abs(C)])
-    if not np.all(np.isfinite(sizes)):  # beyond what numbers can tell
-        return np.inf, np.empty((0, n), dtype=np.complex128)
-    rows, columns = _equilibrium(sizes)
-    scaled = rows[:, None] * (stacked if value.imag else stacked.real) * columns
-    _, sizes, Vh = np.linalg.svd(scaled, full_matrices=False)
-    sizes = sizes / max(sizes[0], 1.0)  # 1 is the size of a row; all can be smaller if A is value I
-    return float(sizes[-1]), (Vh[sizes <= RANK].conj() * columns).astype(np.complex128)
-
-
-def _equilibrium(sizes: Array) -> tuple[Array, Array]:
-    """Return factors of rows and columns that bring the largest entry of each to about 1 (Ruiz 2001)."""
-    rows, columns = np.ones(sizes.shape[0]), np.ones(sizes.shape[1])
-    for _ in range(20):
-        scaled = rows[:, None] * sizes * columns
-        rows = rows / np.sqrt(_or_one(scaled.max(axis=1)))
-        columns = columns / np.sqrt(_or_one(scaled.max(axis=0)))
-    return rows, columns
-
-
-def _or_one(sizes: Array) -> Array:
-    return np.where(sizes > 0, sizes, 1.0)
-
-
-def _readable(directions: Complex) -> list[Complex]:
+def readable(directions: Complex) -> list[Complex]:
     """Return a basis of the same space in which every direction has a state that the others lack."""
     basis = directions.copy()
     for k in range(len(basis)):
@@ -219,15 +160,6 @@ def _normal(direction: Complex) -> Complex:
     return unit
 
 
-def _known(value: complex, direction: Complex, found: list[tuple[complex, Complex]]) -> bool:
-    """Tell whether a direction lies in the span of those found at nearly the same eigenvalue."""
-    near = [known for other, known in found if abs(value - other) <= SAME * max(1.0, abs(other))]
-    if not near:
-        return False
-    basis = np.linalg.qr(np.stack(near, axis=1))[0]
-    return bool(np.linalg.norm(direction - basis @ (basis.conj().T @ direction)) <= SPAN)
-
-
 def _largest(direction: Complex, names: tuple[str, ...]) -> tuple[str, ...]:
     share = np.abs(direction)
     order = np.argsort(-share, kind="stable")
@@ -236,7 +168,7 @@ def _largest(direction: Complex, names: tuple[str, ...]) -> tuple[str, ...]:
 
 def _range(Q: Array) -> Array:
     """Return columns that span the range of Q, judged on its correlations and therefore free of units."""
-    spread = np.sqrt(_or_one(np.diag(Q)))
+    spread = np.sqrt(or_one(np.diag(Q)))
     sizes, vectors = np.linalg.eigh(Q / spread[:, None] / spread)
     kept = sizes > 1e-12 * max(1.0, sizes[-1])
     columns: Array = spread[:, None] * vectors[:, kept]

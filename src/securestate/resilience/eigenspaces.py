@@ -1,13 +1,13 @@
 """The relevant modes of a plant as whole eigenspaces, and what every sensor sees of them.
 
-A vector v with A v = lambda v is a motion of the plant that looks like itself at every sample. Whoever wants to
-tell x from x + v has to see v, so everything about resilience is a question about eigenspaces ker(A - lambda I)
-and the rows X_i = C_i V of the sensors in a basis V.
+A vector v with A v = lambda v is a motion of the plant that looks like itself at every sample. Whoever wants
+to tell x from x + v has to see v, so everything about resilience is a question about eigenspaces ker(A -
+lambda I) and the rows X_i = C_i V of the sensors in a basis V.
 
 Computed eigenvalues are exact for a matrix within eps ||A||. Three consequences:
-    * A Jordan block of size k scatters its eigenvalue over eps^(1/k), and an eigenvector of each scattered value
-      would be taken for a mode of its own. The mean of the cluster is accurate to eps, and replaces it where
-      A - mean I is singular.
+    * A Jordan block of size k scatters its eigenvalue over eps^(1/k), and an eigenvector of each scattered
+      value would be taken for a mode of its own. The mean of the cluster is accurate to eps, and replaces it
+      where A - mean I is singular.
     * Eigenvalues closer than `tol` share one eigenspace. A larger space can only lower counts, which is safe.
     * "Sensor i sees v" means ||C_i v|| > blind ||C_i|| ||v||, `blind` never below the accuracy of V.
 All norms are taken in units of the states in which A and C are balanced.
@@ -83,7 +83,7 @@ class Sight:
 
     @property
     def dimension(self) -> int:
-        """g."""
+        """How many directions, g."""
         return int(self.rows.shape[1])
 
     def support(self, u: Field) -> Indices:
@@ -104,9 +104,15 @@ def eigenspaces(A: Array, C: Array, cut: float, tol: float = TOLERANCE) -> tuple
         C: (m, n), each row in units of its own noise; it only balances the units of the states.
         cut: 0 for all eigenvalues.
         tol: eigenvalues this close, in units of max(1, ||A||), count as equal.
+    Returns:
+        Nothing if ||A||^2 overflows.
     """
-    scale = balanced_units(A, C)
-    A = A / scale[:, None] * scale
+    with np.errstate(over="ignore", invalid="ignore"):
+        scale = balanced_units(A, C)
+        A = A / scale[:, None] * scale
+        size = max(1.0, float(np.sqrt((A * A).sum())))
+    if not np.isfinite(size):  # beyond what numbers can tell
+        return ()
     size = max(1.0, float(np.linalg.norm(A, 2)))
     values, vectors = np.linalg.eig(A)
     if np.abs(values).max() < cut - RADII[0] * size:
@@ -156,9 +162,10 @@ def kernel_of(rows: Field, tol: float) -> Field:
 def balanced_units(A: Array, C: Array) -> Array:
     """Units of the states in which the largest entries of A and C are about even, (n,), powers of two.
 
-    For every state: the largest influence on it and of it, off the diagonal of A, are made equal, and the
-    largest entry of its column of C is made 1 (every row of C being scaled to a largest entry of 1). Where both
-    can be asked for, the geometric mean of both wishes is taken. Powers of two change no digit.
+    Every state has up to two wishes. In A: that the largest entry off the diagonal in its column is as large
+    as that in its row, or is 1 if there is only one of both. In C, every row being scaled to a largest entry
+    of 1: that the largest entry of its column is 1. The geometric mean of its wishes is taken. Powers of two
+    change no digit.
     """
     n = len(A)
     coupling = np.where(np.eye(n, dtype=bool), 0.0, np.abs(A))
@@ -167,12 +174,13 @@ def balanced_units(A: Array, C: Array) -> Array:
     for _ in range(30):
         by_state = coupling / scale[:, None] * scale
         by_row = seen * scale
-        shown = (by_row / _or_one(by_row.max(axis=1, initial=0.0))[:, None]).max(axis=0, initial=0.0)
+        shown = (by_row / or_one(by_row.max(axis=1, initial=0.0))[:, None]).max(axis=0, initial=0.0)
         into, out = by_state.max(axis=1, initial=0.0), by_state.max(axis=0, initial=0.0)
-        even = np.where((into > 0) & (out > 0), np.log(_or_one(into)) - np.log(_or_one(out)), 0.0) / 2
-        loud = np.where(shown > 0, -np.log(_or_one(shown)), 0.0)
-        wishes = ((into > 0) & (out > 0)).astype(float) + (shown > 0)
-        scale = scale * np.exp((even + loud) / np.maximum(wishes, 1.0))
+        coupled = (into > 0) | (out > 0)
+        even = (np.log(or_one(into)) - np.log(or_one(out))) / np.where((into > 0) & (out > 0), 2.0, 1.0)
+        loud = np.where(shown > 0, -np.log(or_one(shown)), 0.0)
+        wishes = coupled.astype(np.float64) + (shown > 0)
+        scale = scale * np.exp((np.where(coupled, even, 0.0) + loud) / np.maximum(wishes, 1.0))
     units: Array = np.exp2(np.round(np.log2(scale)))
     return units
 
@@ -192,9 +200,11 @@ def _settle(
             scatter = float(np.abs(values[group] - mean).max())
             least = float(np.abs(values - mean).min()) / skewness  # of the singular values of A - mean I
             limit = min(tol, 1e-3 * scatter + ROUNDING * size)
-            if len(group) == 1 or scatter <= ROUNDING * size:
-                yield mean
-            elif least <= limit and _is_one(A, mean, vectors[:, group], limit, tol):
+            if (
+                len(group) == 1
+                or scatter <= ROUNDING * size
+                or (least <= limit and _is_one(A, mean, vectors[:, group], limit, tol))
+            ):
                 yield mean
             else:
                 waiting.append((group, level + 1))
@@ -273,5 +283,6 @@ def _upper(value: complex, size: float, tol: float = 0.0) -> complex:
     return complex(value.real, value.imag if abs(value.imag) > max(tol, ROUNDING * size) else 0.0)
 
 
-def _or_one(sizes: Array) -> Array:
+def or_one(sizes: Array) -> Array:
+    """The sizes, with 1 instead of 0."""
     return np.where(sizes > 0, sizes, 1.0)

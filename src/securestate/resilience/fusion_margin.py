@@ -1,7 +1,7 @@
 """The margin of an estimator that explains readings by as little lying as possible.
 
-Such an estimator minimises a sum of penalties, one per sensor. If the honest sensors together object to a direction
-u more than the liars can gain by it, no lie of any size moves the estimate far:
+Such an estimator minimises a sum of penalties, one per sensor. If the honest sensors together object to a
+direction u more than the liars can gain by it, no lie of any size moves the estimate far:
 
     rho = max over u != 0 of  sum over attacked i of |G_i u|  /  sum over the others of |G_i u|   < 1.
 

@@ -1,6 +1,7 @@
 """A lie that moves like the plant: some sensors claim that the state is x + d, and d obeys d[k+1] = A d[k].
 
-Nothing in the dynamics contradicts it; only sensors that see d and do not lie can. So it is what a certificate
+Nothing in the dynamics contradicts it; only sensors that see d and do not lie can. So it is what a
+certificate
 shows: the worst set of sensors, and the direction in which they should push.
 """
 
@@ -10,7 +11,6 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from securestate._checks import real_array, whole_number
 from securestate.errors import InputError
@@ -70,7 +70,8 @@ def lie_along(plant: Plant, X: Array, sensors: tuple[int, ...], d: Field, V: Fie
     Args:
         X: (m, n), the sensors in units of their noise.
         sensors: who lies, counted from 0.
-        d: (n,); of a complex direction the real or imaginary part is taken, whichever the sensors see more of.
+        d: (n,); of a complex direction the real or imaginary part is taken, whichever the sensors see more
+            of.
         V: (n, g).
     """
     basis = np.linalg.qr(np.hstack([V.real, V.imag]) if np.iscomplexobj(V) else V)[0]
@@ -79,4 +80,6 @@ def lie_along(plant: Plant, X: Array, sensors: tuple[int, ...], d: Field, V: Fie
     parts = [d.real, d.imag] if np.iscomplexobj(d) else [d]
     seen = [float(np.linalg.norm(X @ part)) for part in parts]
     direction = parts[int(np.argmax(seen))] / max(seen)
-    return Lie(plant, tuple(plant.sensor_names[i] for i in sensors), direction, basis, basis.T @ plant.A @ basis)
+    return Lie(
+        plant, tuple(plant.sensor_names[i] for i in sensors), direction, basis, basis.T @ plant.A @ basis
+    )

@@ -1,8 +1,9 @@
 """How many liars an installation survives, whatever the estimator: its fundamental limit.
 
-A mode that c sensors see is lost when more than half of them lie: the state x with the first half lying and the
-state x + v with the second half lying give the same readings, forever. So some estimator survives p liars if and
-only if every direction of every relevant mode is seen by more than 2 p sensors that may lie, or by a protected one.
+A mode that c sensors see is lost when more than half of them lie: the state x with the first half lying and
+the state x + v with the second half lying give the same readings, forever. So some estimator survives p liars
+if and only if every direction of every relevant mode is seen by more than 2 p sensors that may lie, or by a
+protected one.
 """
 
 from __future__ import annotations
@@ -45,8 +46,8 @@ class ModeLimit:
     """What sensors see of one eigenvalue.
 
     Attributes:
-        lower, upper: bounds of the number of sensors, not protected, that see the direction that fewest see; `inf`
-            if protected sensors see every direction.
+        lower, upper: bounds of the number of sensors, not protected, that see the direction that fewest see;
+            `inf` if protected sensors see every direction.
         mode: that direction; None if protected sensors see every one.
         sensors: those that see it, by name.
         method: what settled the bounds.
@@ -120,8 +121,8 @@ class Limit:
 
     @property
     def unlimited(self) -> bool:
-        """Whether all sensors that may lie can lie at once: protected ones see everything, or nothing matters."""
-        return math.isinf(self.lower)
+        """Whether all sensors that may lie can do so at once: protected ones see all, or nothing matters."""
+        return self.max_attacked == int((~self.plant.protected).sum())
 
     @property
     def weakest(self) -> ModeLimit | None:
@@ -133,7 +134,8 @@ class Limit:
         return free if math.isinf(count) else min(free, max(-1, (int(count) - 1) // 2))
 
     def margin(self, removed: int) -> tuple[float, float]:
-        """Bounds of eta: the least share of a motion that is left when the worst `removed` sensors are taken away.
+        """Bounds of eta: the least share of a motion that is left when the worst `removed` sensors are taken
+        away.
 
         0: some motion is lost. eta^2 is the share of information that is left in the worst direction.
 
@@ -149,10 +151,11 @@ class Limit:
         return (0.0, 0.0) if self.upper <= removed else (lower, upper)
 
     def ambiguity(self, attacked: int) -> tuple[Lie, Lie] | None:
-        """Two lies of at most `attacked` sensors each that no estimator can tell apart; None if there are none.
+        """Two lies of at most `attacked` sensors each that no estimator can tell apart; None if there are
+        none.
 
-        The sensors of the first that say x + d and those of the second that say x - d send the same as long as the
-        state is x in the first case and x + d in the second.
+        The sensors of the first that say x + d and those of the second that say x - d send the same as long
+        as the state is x in the first case and x + d in the second.
         """
         weak = self.weakest
         if weak is None or weak.mode is None or weak.upper > 2 * attacked:
@@ -161,20 +164,28 @@ class Limit:
         direction = d if weak.eigenvalue.imag else d.real
         sides = weak.sensors[: (len(weak.sensors) + 1) // 2], weak.sensors[(len(weak.sensors) + 1) // 2 :]
         index = self.plant.sensor_names.index
-        lies = [lie_along(self.plant, X, tuple(map(index, side)), direction, direction[:, None]) for side in sides]
+        lies = [
+            lie_along(self.plant, X, tuple(map(index, side)), direction, direction[:, None]) for side in sides
+        ]
         return lies[0], lies[1]
 
 
 def limit(
-    plant: Plant, cut: float = SLOW, *, tol: float = TOLERANCE, time_limit: float = 60.0, target: float = math.inf
+    plant: Plant,
+    cut: float = SLOW,
+    *,
+    tol: float = TOLERANCE,
+    time_limit: float = 60.0,
+    target: float = math.inf,
 ) -> Limit:
     """Count how many sensors see every mode, and who.
 
     Args:
         plant: time-invariant.
         cut: only modes with |eigenvalue| >= cut count; 0 for all.
-        tol: eigenvalues this close, relative to ||A||, and sensitivities this small count as equal and as zero. Take
-            the accuracy of the model: 1e-8 for one that is written down, 1e-4 to 1e-3 for one that was identified.
+        tol: eigenvalues this close, relative to ||A||, and sensitivities this small count as equal and as
+            zero. Take the accuracy of the model: 1e-8 for one that is written down, 1e-4 to 1e-3 for one that
+            was identified.
         time_limit: seconds after which bounds are returned as they are.
         target: a count that is enough; 2 p + 1 to ask for p liars only.
 
@@ -196,6 +207,9 @@ def limit(
         raise DesignError(
             "the limit needs a plant with constant A and C", "give the plant's value at one sample"
         )
+    with np.errstate(over="ignore"):
+        if not np.isfinite(np.square(plant.A).sum()):
+            raise DesignError("A holds numbers whose squares overflow", "choose other units for the states")
     cut, tol = _number("cut", cut, 0.0, math.inf), _number("tol", tol, 0.0, 0.1)
     deadline = time.monotonic() + _number("time_limit", time_limit, 0.0, math.inf)
     X, found = noise_scaled(plant), []
@@ -208,7 +222,7 @@ def limit(
 
 
 def relevant(plant: Plant, *, tol: float = TOLERANCE, time_limit: float = 60.0) -> Limit:
-    """The limit over the modes that do not fade, |eigenvalue| >= 0.999; over all modes if every mode fades."""
+    """The limit over the modes that do not fade, |eigenvalue| >= 0.999; over all if every mode fades."""
     lasting = limit(plant, SLOW, tol=tol, time_limit=time_limit)
     return lasting if lasting.modes else limit(plant, 0.0, tol=tol, time_limit=time_limit)
 

@@ -1,0 +1,163 @@
+"""A `Resilience` as a page of text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from textwrap import fill
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from securestate.resilience.limit import Limit, ModeLimit
+
+if TYPE_CHECKING:
+    from securestate.analysis import FormMargin, Resilience
+
+#: Names that are written out; of longer lists the first ones are.
+NAMED = 8
+WIDTH = 110
+
+
+def text(found: Resilience) -> str:
+    """The page."""
+    sections = [[headline(found), *_limit(found)], list(_advice(found)), list(_estimators(found))]
+    return "\n\n".join("\n".join(_wrapped(lines)) for lines in sections if lines)
+
+
+def headline(found: Resilience) -> str:
+    """One sentence: what the installation survives."""
+    name = found.plant.name or "This plant"
+    limit = found.limit
+    if limit.upper == 0:
+        unseen = ", ".join(map(str, found.undetectable)) or _weak(limit)
+        return f"{name} cannot be secured: {unseen} is seen by no sensor."
+    if limit.unlimited:
+        return f"{name} survives any number of lying sensors" + (
+            ": nothing that lasts has to be seen."
+            if not limit.modes
+            else ": the protected ones see every mode."
+        )
+    if not limit.exact:
+        between = f"{limit.max_attacked} to {limit.max_attacked_upper}"
+        return f"{name} survives {between} lying sensors (not settled in time)."
+    if limit.max_attacked == 0:
+        return f"{name} survives no lying sensor."
+    return (
+        f"{name} survives {count(limit.max_attacked, 'lying sensor')}, whichever {_they(limit.max_attacked)}."
+    )
+
+
+def _they(number: int) -> str:
+    return "it is" if number == 1 else "they are"
+
+
+def _weak(limit: Limit) -> str:
+    return "" if limit.weakest is None else str(limit.weakest.mode)
+
+
+def _limit(found: Resilience) -> Iterator[str]:
+    limit, plant = found.limit, found.plant
+    if not found.lasting and limit.modes:
+        largest = float(np.abs(np.linalg.eigvals(plant.A)).max())
+        yield (
+            f"Every mode fades (largest |eigenvalue| {largest:.4g}), so no lie moves the estimate without "
+            "bound; the limit is for telling the state from a lie while it lasts."
+        )
+    elif found.all_modes is not limit and found.all_modes.max_attacked != limit.max_attacked:
+        yield f"With the modes that fade counted as well: {found.all_modes.max_attacked}."
+    if limit.weakest is not None and limit.upper > 0:
+        yield weakest(limit.weakest)
+    if found.robust_to and limit.modes and not limit.unlimited:
+        left = _interval(*found.eta)
+        yield f"Margin: without the worst {found.robust_to} sensors, {left} of every motion is still seen."
+    levels = {(low, high) for _, low, high in found.profile}
+    if len(levels) > 1:
+        told = ", ".join(
+            f"{low}{'' if low == high else f' to {high}'} at {tol:.0e}" for tol, low, high in found.profile
+        )
+        yield f"The limit rests on the digits of the model; by tolerance: {told}."
+
+
+def weakest(mode: ModeLimit) -> str:
+    """Where the installation is weakest."""
+    number = len(mode.sensors)
+    bound = "" if mode.exact else f" (no fewer than {mode.lower:.0f} see any direction)"
+    half = (number + 1) // 2
+    lost = (
+        f"when {half} of them lie together, nobody can tell who does"
+        if number > 1
+        else "when it lies, nobody can tell"
+    )
+    return f"Weakest: {mode.mode}, seen by {count(number, 'sensor')}, {names(mode.sensors)}{bound}: {lost}."
+
+
+def _advice(found: Resilience) -> Iterator[str]:
+    if found.options:
+        goal = "To see every mode" if found.goal == 0 else f"To survive {count(found.goal, 'lying sensor')}"
+        yield f"{goal}:"
+        yield from (
+            f"  - {shorten(option)}{'' if option.fewest else ' (fewer may do)'}" for option in found.options
+        )
+    elif not found.limit.unlimited and found.max_attacked < found.goal:
+        yield f"No change of few sensors was found that survives {found.goal}."
+    if found.protection is not None and found.protection[0] and not found.limit.unlimited:
+        chosen, fewest = found.protection
+        many = f"{count(len(chosen), 'sensor')}{'' if fewest else ' (fewer may do)'}"
+        yield f"To survive any number: protect {many}: {names(chosen)}."
+
+
+def shorten(option: object) -> str:
+    """An option, its list of names cut."""
+    told = str(option)
+    parts = told.split(", ")
+    return told if len(parts) <= NAMED else f"{', '.join(parts[:NAMED])} and {len(parts) + 1 - NAMED} more"
+
+
+def _estimators(found: Resilience) -> Iterator[str]:
+    for form in found.forms:
+        yield f"Sparse fusion, {form.form} form: {form_margin(form)}."
+    plant = found.plant
+    if not plant.protected.any():
+        yield "Joint fusion and the other methods with protected sensors: none is protected."
+    elif found.unprotected:
+        hidden = names([str(mode) for mode in found.unprotected])
+        yield f"Joint fusion: the protected sensors do not see {hidden}, and the others can lie along them."
+    else:
+        yield "Joint fusion: the protected sensors see every mode that lasts, so its error stays bounded."
+    if found.method:
+        yield f"Use {found.method}: {found.why}."
+
+
+def form_margin(form: FormMargin) -> str:
+    """What a form of sparse fusion survives, as a phrase."""
+    if form.refusal:
+        return f"cannot be designed, {form.refusal}"
+    if all(margin.lie is None for margin in form.margins):
+        return "no mode without a prior, so that nothing moves it without bound"
+    told = []
+    for margin in form.margins:
+        worst = "" if margin.verdict == "secure" else f", worst {names(margin.sensors)}"
+        told.append(f"{margin}{worst}")
+    return "; ".join(told)
+
+
+def _interval(low: float, high: float) -> str:
+    return f"{low:.3g}" if high - low <= 1e-6 else f"{low:.3g} to {high:.3g}"
+
+
+def names(chosen: Sequence[str]) -> str:
+    """A list of names, cut where it is long."""
+    if len(chosen) <= NAMED:
+        return ", ".join(chosen)
+    return f"{', '.join(chosen[:NAMED])} and {len(chosen) - NAMED} more"
+
+
+def count(number: float, noun: str) -> str:
+    """A number with its noun."""
+    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
+
+
+def _wrapped(lines: Sequence[str]) -> Iterator[str]:
+    for line in lines:
+        indent = "    " if line.startswith("  -") else "  "
+        yield fill(line, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
