@@ -1,6 +1,7 @@
 """Estimate the state of a plant from many sensors while some of them lie, and name the liars."""
 
 from securestate import attacks
+from securestate.analysis import Resilience, analyse
 from securestate.errors import (
     DesignError,
     InputError,
@@ -60,6 +61,7 @@ __all__ = [
     "Plant",
     "PlantError",
     "ProtectedKalman",
+    "Resilience",
     "ResumeError",
     "Run",
     "SecurestateError",
@@ -69,6 +71,7 @@ __all__ = [
     "SparseFusion",
     "Status",
     "Trajectory",
+    "analyse",
     "attacks",
     "cold_start",
     "compare",

@@ -1,5 +1,6 @@
 """What can be said about a plant and its sensors before any data."""
 
+from securestate.resilience.advice import Option, options, smallest_protection
 from securestate.resilience.detectability import (
     Mode,
     modes,
@@ -7,14 +8,30 @@ from securestate.resilience.detectability import (
     unobserved_modes,
     unreachable_noise_modes,
 )
+from securestate.resilience.fusion_margin import FusionMargin
+from securestate.resilience.lie import Lie
+from securestate.resilience.limit import Limit, ModeLimit, limit, profile, relevant
 from securestate.resilience.margin import Margin, margin
+from securestate.resilience.visibility import Visibility, visibility
 
 __all__ = [
+    "FusionMargin",
+    "Lie",
+    "Limit",
     "Margin",
     "Mode",
+    "ModeLimit",
+    "Option",
+    "Visibility",
+    "limit",
     "margin",
     "modes",
+    "options",
+    "profile",
+    "relevant",
+    "smallest_protection",
     "undetectable_modes",
     "unobserved_modes",
     "unreachable_noise_modes",
+    "visibility",
 ]

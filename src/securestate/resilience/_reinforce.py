@@ -77,7 +77,7 @@ def _light(
     deadline: float,
     known: dict[tuple[int, ...], Array],
 ) -> tuple[bool, bool]:
-    """Add the supports lighter than the goal that are met; tell if there is surely none, and if any is new."""
+    """Add supports lighter than the goal that are met; tell if there is surely none, and if one is new."""
     proved, before = True, len(known)
     for sight in sights:
         limit = max(0.1, (deadline - time.monotonic()) / 4)
