@@ -16,11 +16,13 @@ if TYPE_CHECKING:
 #: Names that are written out; of longer lists the first ones are.
 NAMED = 8
 WIDTH = 110
+#: A margin that noise hides.
+FAINT = 0.01
 
 
 def text(found: Resilience) -> str:
     """The page."""
-    sections = [[headline(found), *_limit(found)], list(_advice(found)), list(_estimators(found))]
+    sections = [[headline(found), *remarks(found)], list(_advice(found)), list(_estimators(found))]
     return "\n\n".join("\n".join(_wrapped(lines)) for lines in sections if lines)
 
 
@@ -55,7 +57,8 @@ def _weak(limit: Limit) -> str:
     return "" if limit.weakest is None else str(limit.weakest.mode)
 
 
-def _limit(found: Resilience) -> Iterator[str]:
+def remarks(found: Resilience) -> Iterator[str]:
+    """What to know about the limit: which modes count, where it is weakest, how firm it is."""
     limit, plant = found.limit, found.plant
     if not found.lasting and limit.modes:
         largest = float(np.abs(np.linalg.eigvals(plant.A)).max())
@@ -68,8 +71,10 @@ def _limit(found: Resilience) -> Iterator[str]:
     if limit.weakest is not None and limit.upper > 0:
         yield weakest(limit.weakest)
     if found.robust_to and limit.modes and not limit.unlimited:
-        left = _interval(*found.eta)
-        yield f"Margin: without the worst {found.robust_to} sensors, {left} of every motion is still seen."
+        left = interval(*found.eta)
+        faint = ", which noise can hide for long" if found.eta[1] < FAINT else ""
+        without = f"Margin: without the worst {found.robust_to} sensors"
+        yield f"{without}, {left} of every motion is still seen{faint}."
     levels = {(low, high) for _, low, high in found.profile}
     if len(levels) > 1:
         told = ", ".join(
@@ -133,7 +138,7 @@ def form_margin(form: FormMargin) -> str:
     if form.refusal:
         return f"cannot be designed, {form.refusal}"
     if all(margin.lie is None for margin in form.margins):
-        return "no mode without a prior, so that nothing moves it without bound"
+        return "no lie moves it without bound"
     told = []
     for margin in form.margins:
         worst = "" if margin.verdict == "secure" else f", worst {names(margin.sensors)}"
@@ -141,7 +146,8 @@ def form_margin(form: FormMargin) -> str:
     return "; ".join(told)
 
 
-def _interval(low: float, high: float) -> str:
+def interval(low: float, high: float) -> str:
+    """A number, or its bounds."""
     return f"{low:.3g}" if high - low <= 1e-6 else f"{low:.3g} to {high:.3g}"
 
 

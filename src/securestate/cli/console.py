@@ -63,6 +63,17 @@ def steps(verb: str, things: str, *, quiet: bool) -> Iterator[Callable[[int, int
         yield lambda done, total: bar.update(task, completed=done, total=total)
 
 
+@contextmanager
+def working(verb: str, *, quiet: bool) -> Iterator[None]:
+    """Show on stderr that something goes on, if that is a terminal."""
+    console = Console(stderr=True)
+    if quiet or not console.is_terminal:
+        yield
+        return
+    with console.status(verb):
+        yield
+
+
 def table(*headings: str) -> Table:
     """Return an empty table whose cells fold instead of losing text."""
     grid = Table(box=box.SIMPLE_HEAD, pad_edge=False, show_edge=False)

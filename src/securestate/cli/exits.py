@@ -20,7 +20,7 @@ class Exit(IntEnum):
     INTERNAL = 1  # a bug of securestate
     INPUT = 2  # bad usage, or a file that is wrong or cannot be read or written
     SUSPECTED = 3  # done; at least one sensor lies persistently (`Summary.liars`)
-    DESIGN = 4  # the plant does not allow the method
+    DESIGN = 4  # the plant does not allow the method, or does not survive as many liars as was asked
     INTERRUPTED = 130  # by the user
 
 
@@ -29,6 +29,11 @@ HELP = (
     "3 at least one sensor lies · 4 the plant does not allow the method · 130 interrupted."
 )
 
+
+HELP_BEFORE_DATA = (
+    "Exit codes: 0 done · 1 internal error · 2 bad usage or bad input · "
+    "4 the plant does not survive that · 130 interrupted."
+)
 
 HELP_WITHOUT_LIARS = "Exit codes: 0 done · 1 internal error · 2 bad usage or bad input · 130 interrupted."
 

@@ -1,7 +1,8 @@
-"""What an engineer wants to see: a run in numbers, and a run or a comparison in one HTML file."""
+"""What an engineer wants to see: a run in numbers; a run, a comparison or an analysis in one HTML file."""
 
 from securestate.reporting.comparison import write_comparison
 from securestate.reporting.html import write_report
+from securestate.reporting.resilience import write_resilience
 from securestate.reporting.summary import Injection, Moment, SensorSummary, StatusCount, Summary, summarise
 
 __all__ = [
@@ -13,4 +14,5 @@ __all__ = [
     "summarise",
     "write_comparison",
     "write_report",
+    "write_resilience",
 ]
