@@ -159,12 +159,14 @@ def _after(found: Resilience, first: Improved) -> str:
     before = [None if old is None else (seen_by(found.view, old), survived(found.view, old)) for old in equal]
     new = _new(found, first)
     marks = Marks(_weakest(first.limit), frozenset(new), before)
-    part = chosen(view, rows, new)
+    part = chosen(view, rows)
+    hidden = len(set(new) - set(part.columns.tolist()))
+    more = f" Of what is new, {hidden:,} had no room." if hidden else ""
     what = f"{tables.KINDS[first.option.kind].lower()}: {tables.items(first.option)}"
     return (
         f"<h3>Before and after ({escape(what)})</h3>"
         '<p class="hint">The same picture after this change. What is new is marked +; numbers that change '
-        "are shown before → after.</p>"
+        f"are shown before → after.{more}</p>"
         f"{scroll(matrix(plant, view, part, marks), 'After the change')}{_left_out(view, part)}"
     )
 

@@ -67,16 +67,15 @@ class Marks:
         return self.weakest is not None and name in self.weakest
 
 
-def chosen(view: Visibility, rows: Iterable[int] | None = None, first: Sequence[int] = ()) -> Part:
+def chosen(view: Visibility, rows: Iterable[int] | None = None) -> Part:
     """As many of the weakest modes and of the sensors that see them as can be read.
 
     Args:
         view: who sees what, weakest first.
         rows: the modes to choose from, from top to bottom; default all.
-        first: sensors that are shown in any case, though no more than half of all columns.
     """
     kept: list[int] = []
-    columns = list(first[: COLUMNS // 2])
+    columns: list[int] = []
     for row in range(len(view.modes)) if rows is None else rows:
         added = sorted(set(np.flatnonzero(view.sees[row]).tolist()) - set(columns))
         if kept and (len(kept) == ROWS or len(columns) + len(added) > COLUMNS):
