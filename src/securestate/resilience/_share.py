@@ -151,8 +151,9 @@ def largest_share(
     deadline = time.monotonic() + time_limit
     best = _Highest(norms, attacked)
     best.offer(_starts(norms))
-    _ascend(norms, attacked, best)
     upper = min(1.0, bound_from_above(norms, attacked))
+    if not (decide and upper < 0.5):
+        _ascend(norms, attacked, best)
     settled = decide and (upper < 0.5 or best.share >= 0.5)
     if norms.dimension == 1:
         upper = best.share
