@@ -412,5 +412,5 @@ def test_one_sensor_alone_is_checked_by_the_prior_or_refused() -> None:
     run = SparseFusion(plant).run([[0.1], [50.0], [0.2]])
     assert np.isfinite(run.x).all()
     unstable = Plant([[1.2]], [[1.0]], [Sensor("only", C=[[1.0]], R=1.0)])
-    with pytest.raises(DesignError, match=r"not even the presence of a liar.*use KalmanFilter"):
+    with pytest.raises(DesignError, match=r"would not even show.*use KalmanFilter"):
         SparseFusion(unstable)

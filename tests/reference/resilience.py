@@ -9,20 +9,23 @@ import scipy.linalg
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-#: A plant as arrays: A, C, the sensor of every row of C, and a basis of each true eigenspace by its eigenvalue.
+#: A plant as arrays: A, C, the sensor of every row of C, and a basis of each true eigenspace by its
+#: eigenvalue.
 Case = tuple[Array, Array, NDArray[np.int64], dict[complex, NDArray[Any]]]
 
 
 def fewest_seeing(X: NDArray[Any], owner: NDArray[np.int64], sensors: int, zero: float = 1e-6) -> int:
     """Fewest sensors with X_i u != 0 over u != 0; X (rows, g), rows of size about 1.
 
-    The direction that fewest see is blind to as many rows as possible, so it spans the null space of some g - 1 of
-    them, or there are not enough independent rows.
+    The direction that fewest see is blind to as many rows as possible, so it spans the null space of some g -
+    1 of them, or there are not enough independent rows.
     """
     g = X.shape[1]
     if np.linalg.matrix_rank(X, tol=zero) < g:
         return 0
-    chosen = np.array(list(combinations(range(len(X)), g - 1)), dtype=np.intp).reshape(comb(len(X), g - 1), g - 1)
+    chosen = np.array(list(combinations(range(len(X)), g - 1)), dtype=np.intp).reshape(
+        comb(len(X), g - 1), g - 1
+    )
     _, sizes, Vh = np.linalg.svd(np.concatenate([X[chosen], np.zeros((len(chosen), 1, g))], axis=1))
     independent = np.all(sizes[:, : g - 1] > zero, axis=1)
     seen = np.abs(Vh[independent, -1].conj() @ X.T) > zero

@@ -32,7 +32,8 @@ FOREVER = math.inf
 def plant_of(case: Case, protected: tuple[int, ...] = ()) -> Plant:
     A, C, owner, _ = case
     sensors = [
-        Sensor(f"s{i}", C=C[owner == i], R=0.5 + i, protected=i in protected) for i in range(int(owner.max()) + 1)
+        Sensor(f"s{i}", C=C[owner == i], R=0.5 + i, protected=i in protected)
+        for i in range(int(owner.max()) + 1)
     ]
     return Plant(A, np.eye(len(A)), sensors)
 

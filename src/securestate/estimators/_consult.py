@@ -4,16 +4,33 @@ from __future__ import annotations
 
 import warnings
 
-from securestate.errors import InsecureWarning
+from securestate.errors import DesignError, InsecureWarning
 from securestate.plant import Plant
+from securestate.resilience.eigenspaces import eigenspaces, sight
 from securestate.resilience.fusion_margin import FusionMargin
 from securestate.resilience.limit import limit
-from securestate.resilience.margin import SLOW
+from securestate.resilience.margin import SLOW, noise_scaled
 
 #: Seconds that the question may take at design time.
 PATIENCE = 0.5
 
 _ADVICE = "securestate.analyse(plant) says which sensor would help"
+
+
+def refuse_without_redundancy(plant: Plant) -> None:
+    """Refuse a plant whose lasting modes are each seen by one sensor only, that may lie.
+
+    Raises:
+        DesignError: a lie along a mode would not even show.
+    """
+    X = noise_scaled(plant)
+    spaces = eigenspaces(plant.A, X, SLOW)
+    seen = [sight(space, X, plant.channel_sensor, plant.n_sensors) for space in spaces]
+    if spaces and not plant.protected.any() and all(len(one.rows) <= one.dimension for one in seen):
+        raise DesignError(
+            "every mode that does not fade is seen by one sensor only: a lie along it would not even show",
+            "add sensors (securestate.analyse(plant) says which), or use KalmanFilter and trust them all",
+        )
 
 
 def warn_of_margin(margin: FusionMargin, stacklevel: int = 3) -> None:

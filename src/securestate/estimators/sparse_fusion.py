@@ -38,7 +38,7 @@ from securestate._checks import real_array, yes_or_no
 from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
-from securestate.estimators._consult import PATIENCE, warn_of_margin
+from securestate.estimators._consult import PATIENCE, refuse_without_redundancy, warn_of_margin
 from securestate.estimators._pairs import Pair, jordan, takenaka_malmquist
 from securestate.estimators._sparse_design import coordinates, gamma_from_probability, kernel_design
 from securestate.estimators._sparse_margin import penalties
@@ -153,14 +153,10 @@ class SparseFusion(Estimator):
         _check_settings(plant, form, kalman_probability, gamma)
         if refit is not None:
             refit = yes_or_no("refit", refit, InputError)
+        refuse_without_redundancy(plant)
         refit = form == "robust" if refit is None else refit
         self.decomposition = _robust(plant) if form == "robust" else _paper(plant)
         axes = coordinates(plant, self.decomposition, form)
-        if len(axes.groups) < 2:
-            raise DesignError(
-                "no sensor can be checked by another, so that not even the presence of a liar would show",
-                "add sensors (securestate.analyse(plant) says which), or use KalmanFilter and trust them all",
-            )
         if form == "robust":
             if gamma is None:
                 kalman_probability = 0.95 if kalman_probability is None else kalman_probability

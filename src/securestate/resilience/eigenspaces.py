@@ -162,9 +162,10 @@ def kernel_of(rows: Field, tol: float) -> Field:
 def balanced_units(A: Array, C: Array) -> Array:
     """Units of the states in which the entries of A and C are about even, (n,), powers of two.
 
-    min over d and r of  w sum (log |a_ij| + d_j - d_i)^2 + sum (log |c_ij| + d_j + r_i)^2  over the entries that
-    are no rounding errors, off the diagonal of A: the units do not depend on those that A and C come in. What is
-    a rounding error of A is judged in units in which C is even (w small). Powers of two change no digit.
+    min over d and r of  w sum (log |a_ij| + d_j - d_i)^2 + sum (log |c_ij| + d_j + r_i)^2  over the entries
+    that
+    are no rounding errors, off the diagonal of A: the units do not depend on those that A and C come in. What
+    is a rounding error of A is judged in units in which C is even (w small). Powers of two change no digit.
 
     References:
         Curtis, Reid 1972, with a similarity for A.
@@ -184,7 +185,9 @@ def _even(a: Array, c: Array, w: float) -> Array:
     log_a, log_c = M_a * np.log(or_one(a)), np.log(or_one(c))
     per_row = 1 / np.maximum(M_c.sum(axis=1), 1.0)[:, None]
     log_c = M_c * (log_c - log_c.sum(axis=1, keepdims=True) * per_row)  # r_i eliminated
-    normal = np.diag((M_a + M_a.T).sum(axis=1)) - M_a - M_a.T + np.diag(M_c.sum(axis=0)) - M_c.T @ (per_row * M_c)
+    normal = (
+        np.diag((M_a + M_a.T).sum(axis=1)) - M_a - M_a.T + np.diag(M_c.sum(axis=0)) - M_c.T @ (per_row * M_c)
+    )
     wanted = log_a.sum(axis=1) - log_a.sum(axis=0) - log_c.sum(axis=0)
     d: Array = np.clip(np.linalg.lstsq(normal, wanted, rcond=1e-10)[0], -300.0, 300.0)
     return d
