@@ -43,6 +43,8 @@ rust: setup ## rustfmt, clippy, cargo test
 	cargo clippy --quiet --locked --workspace --all-targets -- -D warnings
 	cargo test --quiet --locked --workspace
 
+# One process per core already; threads of the linear algebra would wait for each other's cores.
+pytest: export OPENBLAS_NUM_THREADS := 1
 pytest: setup ## the Python tests and doctests; ARGS="-k name" narrows them
 	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
 

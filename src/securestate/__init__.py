@@ -5,6 +5,7 @@ from securestate.analysis import Resilience, analyse
 from securestate.errors import (
     DesignError,
     InputError,
+    InsecureWarning,
     MeasurementError,
     PlantError,
     ResumeError,
@@ -52,6 +53,7 @@ __all__ = [
     "InnovationGate",
     "InnovationMixture",
     "InputError",
+    "InsecureWarning",
     "JointFusion",
     "KalmanFilter",
     "MeasurementError",

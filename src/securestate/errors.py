@@ -76,3 +76,7 @@ class ResumeError(SecurestateError, ValueError):
 
 class SecurestateWarning(UserWarning):
     """The result is usable, but something about the data asks for another method or another look."""
+
+
+class InsecureWarning(SecurestateWarning):
+    """The estimator was made, but on this plant a single lying sensor can defeat it."""

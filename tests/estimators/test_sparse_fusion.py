@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from securestate import (
     Belief,
+    DesignError,
     InputError,
     KalmanFilter,
     MeasurementError,
@@ -406,11 +407,10 @@ def test_a_bad_setting_is_named(settings: dict[str, object], argument: str) -> N
     assert caught.value.argument == argument
 
 
-def test_one_sensor_alone_can_accuse_nobody() -> None:
+def test_one_sensor_alone_is_checked_by_the_prior_or_refused() -> None:
     plant = Plant([[0.9]], [[1.0]], [Sensor("only", C=[[1.0]], R=1.0)])
     run = SparseFusion(plant).run([[0.1], [50.0], [0.2]])
     assert np.isfinite(run.x).all()
     unstable = Plant([[1.2]], [[1.0]], [Sensor("only", C=[[1.0]], R=1.0)])
-    run = SparseFusion(unstable).run([[0.1], [50.0], [0.2]])
-    np.testing.assert_allclose(run.x, KalmanFilter(unstable).run([[0.1], [50.0], [0.2]]).x, atol=1e-12)
-    assert not run.suspected.any()
+    with pytest.raises(DesignError, match=r"would not even show.*use KalmanFilter"):
+        SparseFusion(unstable)

@@ -8,6 +8,7 @@ from securestate._local_filters import local_filters
 from securestate._steady_state import SteadyState
 from securestate.errors import InputError
 from securestate.estimators import _detectors
+from securestate.estimators._consult import warn_of_limit
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import steady_or_reason
 from securestate.plant import Plant
@@ -101,6 +102,7 @@ class ChiSquareFilter(Estimator):
         filters = local_filters(plant) if scope == "sensor" else ()
         kernel = _detectors.kernel(plant, self.steady, rule, rate, filters)
         super().__init__(plant, kernel, {"scope": scope, "on_alarm": rule, "false_alarm_rate": rate})
+        warn_of_limit(plant)
 
 
 def _checked_rule(scope: str, on_alarm: str | None) -> _detectors.Rule:

@@ -6,6 +6,7 @@ from typing import final
 
 from securestate._steady_state import SteadyState
 from securestate.estimators import _detectors
+from securestate.estimators._consult import warn_of_limit
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import steady_or_reason
 from securestate.plant import Plant
@@ -65,3 +66,4 @@ class InnovationGate(Estimator):
         rate = _detectors.checked_rate(false_alarm_rate)
         kernel = _detectors.kernel(plant, self.steady, "gate", rate)
         super().__init__(plant, kernel, {"false_alarm_rate": rate})
+        warn_of_limit(plant)

@@ -14,6 +14,7 @@ from securestate._checks import yes_or_no
 from securestate._steady_state import SteadyState
 from securestate.errors import InputError
 from securestate.estimators import _detectors
+from securestate.estimators._consult import warn_of_limit
 from securestate.estimators._mixture_design import one_of, refuse_shared_noise
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
@@ -144,6 +145,7 @@ class InnovationMixture(Estimator):
             ),
         )
         super().__init__(plant, kernel, settings)
+        warn_of_limit(plant)
 
 
 def _student(channels: int, kappa: float) -> Float:

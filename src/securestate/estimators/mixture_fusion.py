@@ -29,6 +29,7 @@ from securestate import _kernels
 from securestate._checks import whole_number, yes_or_no
 from securestate._steady_state import SteadyState
 from securestate.errors import DesignError, InputError
+from securestate.estimators._consult import warn_of_limit
 from securestate.estimators._mixture_design import local_priors, one_of, refuse_shared_noise
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
@@ -159,6 +160,7 @@ class MixtureFusion(Estimator):
             cap=int(cap),
         )
         super().__init__(plant, kernel, settings)
+        warn_of_limit(plant)
 
 
 def _checked_epsilon(value: object) -> float | None:

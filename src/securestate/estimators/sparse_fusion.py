@@ -38,6 +38,7 @@ from securestate._checks import real_array, yes_or_no
 from securestate._steady_state import SteadyState, steady_state
 from securestate.errors import DesignError, InputError
 from securestate.estimators import _decomposition as atoms
+from securestate.estimators._consult import PATIENCE, refuse_without_redundancy, warn_of_margin
 from securestate.estimators._pairs import Pair, jordan, takenaka_malmquist
 from securestate.estimators._sparse_design import coordinates, gamma_from_probability, kernel_design
 from securestate.estimators._sparse_margin import penalties
@@ -152,6 +153,7 @@ class SparseFusion(Estimator):
         _check_settings(plant, form, kalman_probability, gamma)
         if refit is not None:
             refit = yes_or_no("refit", refit, InputError)
+        refuse_without_redundancy(plant)
         refit = form == "robust" if refit is None else refit
         self.decomposition = _robust(plant) if form == "robust" else _paper(plant)
         axes = coordinates(plant, self.decomposition, form)
@@ -173,6 +175,7 @@ class SparseFusion(Estimator):
         self._penalties = penalties(self.decomposition, axes, gammas)
         kernel = _kernels.sparse_fusion(kernel_design(plant, self.decomposition, axes, gammas, refit=refit))
         super().__init__(plant, kernel, settings)
+        warn_of_margin(self.margin(1, time_limit=PATIENCE, decide=True))
 
     @staticmethod
     def require(plant: Plant) -> None:

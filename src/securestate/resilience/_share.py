@@ -151,13 +151,16 @@ def largest_share(
     deadline = time.monotonic() + time_limit
     best = _Highest(norms, attacked)
     best.offer(_starts(norms))
-    _ascend(norms, attacked, best)
     upper = min(1.0, bound_from_above(norms, attacked))
+    if not (decide and upper < 0.5):
+        _ascend(norms, attacked, best, _starts(norms), 60)
     settled = decide and (upper < 0.5 or best.share >= 0.5)
     if norms.dimension == 1:
         upper = best.share
     elif norms.dimension <= SMALL and not settled:
         upper = min(upper, _branch_and_bound(norms, attacked, best, gap, deadline, decide))
+    if not settled:
+        _ascend(norms, attacked, best, best.z[None], 1000)
     upper = max(upper, best.share)
     u = norms.back @ best.z
     return Share(best.share, upper, u / np.linalg.norm(u), best.sensors)
@@ -192,14 +195,14 @@ def _starts(norms: Norms) -> Array:
     return np.vstack([random, np.linalg.svd(norms.H)[2][:, 0]])
 
 
-def _ascend(norms: Norms, attacked: Attacked, best: _Highest) -> None:
-    """Ascend from all starts at once; the share never falls."""
-    Z, H = _starts(norms), norms.H
+def _ascend(norms: Norms, attacked: Attacked, best: _Highest, Z: Array, rounds: int) -> None:
+    """Ascend from all directions Z (K, d) at once; the share never falls."""
+    H = norms.H
     Q = np.einsum("bkl,bkm->blm", H, H)
     before = np.full(len(Z), -1.0)
-    for _ in range(60):
+    for _ in range(rounds):
         shares = best.offer(Z)
-        rising = shares > before + 1e-10
+        rising = (shares > before + 1e-12) & (shares > 0)
         if not rising.any():
             return
         Z, before = Z[rising], shares[rising]

@@ -160,29 +160,42 @@ def kernel_of(rows: Field, tol: float) -> Field:
 
 
 def balanced_units(A: Array, C: Array) -> Array:
-    """Units of the states in which the largest entries of A and C are about even, (n,), powers of two.
+    """Units of the states in which the entries of A and C are about even, (n,), powers of two.
 
-    Every state has up to two wishes. In A: that the largest entry off the diagonal in its column is as large
-    as that in its row, or is 1 if there is only one of both. In C, every row being scaled to a largest entry
-    of 1: that the largest entry of its column is 1. The geometric mean of its wishes is taken. Powers of two
-    change no digit.
+    min over d and r of  w sum (log |a_ij| + d_j - d_i)^2 + sum (log |c_ij| + d_j + r_i)^2  over the entries
+    that
+    are no rounding errors, off the diagonal of A: the units do not depend on those that A and C come in. What
+    is a rounding error of A is judged in units in which C is even (w small). Powers of two change no digit.
+
+    References:
+        Curtis, Reid 1972, with a similarity for A.
     """
-    n = len(A)
-    coupling = np.where(np.eye(n, dtype=bool), 0.0, np.abs(A))
-    seen = np.abs(C)
-    scale = np.ones(n)
-    for _ in range(30):
-        by_state = coupling / scale[:, None] * scale
-        by_row = seen * scale
-        shown = (by_row / or_one(by_row.max(axis=1, initial=0.0))[:, None]).max(axis=0, initial=0.0)
-        into, out = by_state.max(axis=1, initial=0.0), by_state.max(axis=0, initial=0.0)
-        coupled = (into > 0) | (out > 0)
-        even = (np.log(or_one(into)) - np.log(or_one(out))) / np.where((into > 0) & (out > 0), 2.0, 1.0)
-        loud = np.where(shown > 0, -np.log(or_one(shown)), 0.0)
-        wishes = coupled.astype(np.float64) + (shown > 0)
-        scale = scale * np.exp((np.where(coupled, even, 0.0) + loud) / np.maximum(wishes, 1.0))
-    units: Array = np.exp2(np.round(np.log2(scale)))
+    a = np.abs(A)
+    d = _even(a, np.abs(C), 1e-3)
+    d = _even(a / np.exp(d)[:, None] * np.exp(d), np.abs(C) * np.exp(d), 1.0) + d
+    units: Array = np.exp2(np.clip(np.round(d / np.log(2)), -400, 400))
     return units
+
+
+def _even(a: Array, c: Array, w: float) -> Array:
+    """Logarithms d of the units, by least squares."""
+    a, c = _or_nothing(a, a.max(axis=1)), _or_nothing(c, c.max(axis=1, initial=0.0))
+    np.fill_diagonal(a, 0.0)
+    M_a, M_c = w * (a > 0), (c > 0).astype(np.float64)
+    log_a, log_c = M_a * np.log(or_one(a)), np.log(or_one(c))
+    per_row = 1 / np.maximum(M_c.sum(axis=1), 1.0)[:, None]
+    log_c = M_c * (log_c - log_c.sum(axis=1, keepdims=True) * per_row)  # r_i eliminated
+    normal = (
+        np.diag((M_a + M_a.T).sum(axis=1)) - M_a - M_a.T + np.diag(M_c.sum(axis=0)) - M_c.T @ (per_row * M_c)
+    )
+    wanted = log_a.sum(axis=1) - log_a.sum(axis=0) - log_c.sum(axis=0)
+    d: Array = np.clip(np.linalg.lstsq(normal, wanted, rcond=1e-10)[0], -300.0, 300.0)
+    return d
+
+
+def _or_nothing(sizes: Array, rows: Array) -> Array:
+    """The sizes, with 0 for those that are rounding errors beside the largest of their row."""
+    return np.where(sizes > ROUNDING * rows[:, None], sizes, 0.0)
 
 
 def _settle(

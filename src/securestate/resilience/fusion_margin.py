@@ -15,7 +15,6 @@ from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from securestate._checks import whole_number
 from securestate._threads import one_blas_thread
@@ -106,14 +105,16 @@ def _margin(
 ) -> FusionMargin:
     if not penalties.V.shape[1] or who.count == 0:
         return FusionMargin(who.count, 0.0, 0.0, (), None)
-    free = _unseen(penalties)
-    if free is not None:
-        share = Share(1.0, 1.0, free, _loudest(plant, penalties.V @ free, who))
-    else:
-        norms = Norms.of(penalties.blocks, penalties.owner, plant.n_sensors)
-        share = largest_share(norms, who, gap=gap, time_limit=time_limit, decide=decide)
+    X = noise_scaled(plant)
+    free, costly = _by_cost(penalties)
+    share = _gratis(plant, X @ penalties.V @ free, free, who)
+    if share is None:
+        blocks = tuple(block @ costly for block in penalties.blocks)
+        norms = Norms.of(blocks, penalties.owner, plant.n_sensors)
+        inner = largest_share(norms, who, gap=gap, time_limit=time_limit, decide=decide)
+        share = Share(inner.lower, inner.upper, costly @ inner.direction, inner.sensors)
     sensors = tuple(int(i) for i in share.sensors)
-    lie = lie_along(plant, noise_scaled(plant), sensors, penalties.V @ share.direction, penalties.V)
+    lie = lie_along(plant, X, sensors, penalties.V @ share.direction, penalties.V)
     return FusionMargin(who.count, _rho(share.lower), _rho(share.upper), lie.sensors, lie)
 
 
@@ -128,23 +129,32 @@ def _attacked(plant: Plant, attacked: int | Iterable[str]) -> Attacked:
     return Attacked.exactly([plant.sensor_names.index(name) for name in names], plant.n_sensors)
 
 
-def _unseen(penalties: Penalties) -> Array | None:
-    """A direction that costs no sensor anything; None if every direction costs somebody something."""
+def _by_cost(penalties: Penalties) -> tuple[Array, Array]:
+    """Directions that cost no sensor anything, and the others, as columns."""
     d = penalties.V.shape[1]
-    stacked = np.vstack([np.zeros((1, d)), *penalties.blocks])
+    stacked = np.vstack([np.zeros((d, d)), *penalties.blocks])
     lengths = np.linalg.norm(stacked, axis=0)
-    if not lengths.all():
-        unit: Array = np.eye(d)[int(np.argmin(lengths))]
-        return unit
-    _, shares, Wh = np.linalg.svd(stacked / lengths)
-    return None if len(stacked) >= d and shares[-1] > UNSEEN * shares[0] else Wh[-1] / lengths
+    units = np.where(lengths > 0, lengths, 1.0)
+    _, shares, Wh = np.linalg.svd(stacked / units, full_matrices=False)
+    costs = shares > UNSEEN * max(1.0, shares[0])
+    return (Wh[~costs] / units).T, (Wh[costs] / units).T
 
 
-def _loudest(plant: Plant, v: Array, who: Attacked) -> NDArray[np.intp]:
-    """Of the sensors that may lie those that see most of v."""
-    seen = np.zeros(plant.n_sensors)
-    np.add.at(seen, plant.channel_sensor, (noise_scaled(plant) @ v) ** 2)
-    return np.sort(who.loudest(seen[None])[0])
+def _gratis(plant: Plant, seen: Array, free: Array, who: Attacked) -> Share | None:
+    """The lie that costs nobody anything and that a sensor which may lie can tell; None if there is none.
+
+    Args:
+        seen: what the channels see of the free directions, (m, k).
+        free: these directions, (d, k).
+    """
+    loudness = np.zeros(plant.n_sensors)
+    np.add.at(loudness, plant.channel_sensor, (seen**2).sum(axis=1))
+    loudest = who.loudest(loudness[None])[0]
+    if not free.shape[1] or loudness[loudest[0]] <= UNSEEN * loudness.max():
+        return None
+    own = seen[plant.channels_of(int(loudest[0]))]
+    direction: Array = free @ np.linalg.svd(own)[2][0]
+    return Share(1.0, 1.0, direction, np.sort(loudest))
 
 
 def _rho(kappa: float) -> float:

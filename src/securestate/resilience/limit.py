@@ -158,7 +158,7 @@ class Limit:
         as the state is x in the first case and x + d in the second.
         """
         weak = self.weakest
-        if weak is None or weak.mode is None or weak.upper > 2 * attacked:
+        if weak is None or weak.mode is None or not 0 < weak.upper <= 2 * attacked:
             return None
         X, d = noise_scaled(self.plant), weak.mode.direction
         direction = d if weak.eigenvalue.imag else d.real

@@ -18,7 +18,6 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from securestate.errors import DesignError, InputError
 from securestate.plant import Plant
@@ -86,7 +85,7 @@ def noise_scaled(plant: Plant) -> Array:
     counts = np.bincount(plant.channel_sensor, minlength=plant.n_sensors)
     for i in np.flatnonzero(counts > 1):
         own = plant.channels_of(int(i))
-        X[own] = linalg.solve_triangular(np.linalg.cholesky(plant.R[own, own]), plant.C[own], lower=True)
+        X[own] = np.linalg.solve(np.linalg.cholesky(plant.R[own, own]), plant.C[own])
     return X
 
 
