@@ -9,6 +9,8 @@ ARGS ?=
 
 export PYTHON
 export PYO3_PYTHON := $(CURDIR)/$(PY)
+# Without bytecode each of the many processes that the tests start compiles every module again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
