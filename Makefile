@@ -43,7 +43,7 @@ contracts: setup ## imports point down only
 rust: setup ## rustfmt, clippy, cargo test
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --workspace --all-targets -- -D warnings
-	cargo test --quiet --locked --workspace
+	cargo test --quiet --locked
 
 pytest: setup ## the Python tests and doctests; ARGS="-k name" narrows them
 	$(PY) -m pytest -n auto --maxprocesses 4 $(ARGS)
