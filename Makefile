@@ -9,6 +9,8 @@ ARGS ?=
 
 export PYTHON
 export PYO3_PYTHON := $(CURDIR)/$(PY)
+# Without bytecode each of the many processes that the tests start compiles every module again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .NOTPARALLEL:
 .DEFAULT_GOAL := help
@@ -32,8 +34,8 @@ lint: setup ## ruff: rules and format
 	$(PY) -m ruff format --check --quiet --diff .
 
 types: setup ## mypy --strict, and the kernels' stubs against the built module
-	$(PY) -m mypy --no-color-output
-	$(PY) -m mypy.stubtest --concise --ignore-disjoint-bases securestate._kernels
+	$(PY) -m mypy.stubtest --concise --ignore-disjoint-bases securestate._kernels & stubs=$$!; \
+	$(PY) -m mypy --no-color-output; types=$$?; wait $$stubs && exit $$types
 
 contracts: setup ## imports point down only
 	.venv/bin/lint-imports --no-logo
@@ -41,7 +43,7 @@ contracts: setup ## imports point down only
 rust: setup ## rustfmt, clippy, cargo test
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --workspace --all-targets -- -D warnings
-	cargo test --quiet --locked --workspace
+	cargo test --quiet --locked
 
 # One process per core already; threads of the linear algebra would wait for each other's cores.
 pytest: export OPENBLAS_NUM_THREADS := 1

@@ -8,21 +8,18 @@ from rich.console import Console
 from papers import _report as report
 from papers._report import Value
 from papers.liu2020 import __main__ as program
-from papers.liu2020 import figure
-from papers.liu2020.monte_carlo import Curve
 from papers.liu2020.setting import FOLDER, Setting
+from tests.papers.reproduction import Quick, Reproduction, judged
 
 
 @pytest.fixture(scope="module")
-def quick() -> tuple[dict[str, Value], Curve]:
+def quick() -> Quick:
     return program.compute(Setting("quick"), Console(quiet=True))
 
 
 @pytest.fixture(scope="module")
-def rows(quick: tuple[dict[str, Value], Curve]) -> dict[str, report.Row]:
-    judged = report.judge(FOLDER, quick[0], "quick")
-    keys = [row["key"] for section in report.expected(FOLDER)["sections"] for row in section["rows"]]
-    return dict(zip(keys, judged, strict=True))
+def rows(quick: Quick) -> dict[str, report.Row]:
+    return judged(FOLDER, quick[0])
 
 
 def test_every_number_without_chance_is_the_expected_one_at_full_tolerance(
@@ -67,38 +64,6 @@ def test_paper_form_loses_by_the_square_of_a_lie_where_its_ratio_exceeds_one(
         assert 95 < large / small < 110
 
 
-def test_readme_holds_a_table_line_for_every_quantity(rows: dict[str, report.Row]) -> None:
-    text = (FOLDER / "README.md").read_text(encoding="utf-8")
-    assert [row.quantity for row in rows.values() if f"| {row.quantity} |" not in text] == []
-    assert "VIOLATED" not in text
-
-
-def test_figure_is_the_same_text_for_the_same_numbers(quick: tuple[dict[str, Value], Curve]) -> None:
-    first, second = (figure.draw(quick[1], 100.0) for _ in range(2))
-    assert first == second
-    assert first.startswith("<?xml")
-
-
-def test_a_number_that_is_off_gives_exit_code_1_and_writes_nothing(
-    quick: tuple[dict[str, Value], Curve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found, curve = quick
-    monkeypatch.setattr(program, "compute", lambda *_: (found | {"trace": Value(0.84)}, curve))
-    assert program.main(["--quick", "--out", str(tmp_path)]) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_numbers_that_hold_give_exit_code_0_and_both_files(
-    quick: tuple[dict[str, Value], Curve], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(program, "compute", lambda *_: quick)
-    assert program.main(["--quick", "--out", str(tmp_path)]) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", "fig2.svg"]
-    written = (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert "20 runs of 150 samples" in written
-    assert written.startswith((FOLDER / "README.md").read_text(encoding="utf-8").split(report.BEGIN)[0])
-
-
 def test_files_are_written_all_or_none(tmp_path: Path) -> None:
     (tmp_path / "b").mkdir()
     with pytest.raises(IsADirectoryError):
@@ -106,6 +71,14 @@ def test_files_are_written_all_or_none(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["b"]
 
 
-def test_a_number_that_nothing_expects_is_refused(quick: tuple[dict[str, Value], Curve]) -> None:
+def test_a_number_that_nothing_expects_is_refused(quick: Quick) -> None:
     with pytest.raises(KeyError, match="surprise"):
         report.judge(FOLDER, quick[0] | {"surprise": Value(1.0)}, "quick")
+
+
+class TestProgram(Reproduction):
+    program = program
+    folder = FOLDER
+    figures = ("fig2.svg",)
+    off = ("trace", 0.84)
+    scale = "20 runs of 150 samples"

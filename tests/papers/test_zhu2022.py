@@ -1,19 +1,12 @@
 """The reproduction of zhu2022 in its quick form: expected.json holds, and nothing half-done is written."""
 
-from pathlib import Path
-
 import pytest
 from rich.console import Console
 
 from papers import _report as report
-from papers._report import Value
 from papers.zhu2022 import __main__ as program
-from papers.zhu2022 import figure
-from papers.zhu2022.monte_carlo import Curves
 from papers.zhu2022.setting import FOLDER, Setting
-
-FIGURES = [f"fig{number}.svg" for number in range(2, 9)]
-Quick = tuple[dict[str, Value], Curves]
+from tests.papers.reproduction import Quick, Reproduction, judged
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +16,7 @@ def quick() -> Quick:
 
 @pytest.fixture(scope="module")
 def rows(quick: Quick) -> dict[str, report.Row]:
-    judged = report.judge(FOLDER, quick[0], "quick")
-    keys = [row["key"] for section in report.expected(FOLDER)["sections"] for row in section["rows"]]
-    return dict(zip(keys, judged, strict=True))
+    return judged(FOLDER, quick[0])
 
 
 def test_every_number_is_that_of_an_independent_program(rows: dict[str, report.Row]) -> None:
@@ -85,34 +76,9 @@ def test_hundreds_of_states_are_estimated_nearly_as_by_the_oracle(rows: dict[str
         assert ratio.number - 2 * ratio.error < 1.12
 
 
-def test_readme_holds_a_table_line_for_every_quantity(rows: dict[str, report.Row]) -> None:
-    text = (FOLDER / "README.md").read_text(encoding="utf-8")
-    assert [row.quantity for row in rows.values() if f"| {row.quantity} |" not in text] == []
-    assert "VIOLATED" not in text
-
-
-def test_figures_are_the_same_text_for_the_same_numbers(quick: Quick) -> None:
-    first, second = (figure.draw(quick[1]) for _ in range(2))
-    assert first == second
-    assert sorted(first) == FIGURES
-    assert all(text.startswith("<?xml") for text in first.values())
-
-
-def test_a_number_that_is_off_gives_exit_code_1_and_writes_nothing(
-    quick: Quick, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    found, curves = quick
-    monkeypatch.setattr(program, "compute", lambda *_: (found | {"evidence.same.split": Value(1.0)}, curves))
-    assert program.main(["--quick", "--out", str(tmp_path)]) == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_numbers_that_hold_give_exit_code_0_and_all_files(
-    quick: Quick, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(program, "compute", lambda *_: quick)
-    assert program.main(["--quick", "--out", str(tmp_path)]) == 0
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["README.md", *FIGURES]
-    written = (tmp_path / "README.md").read_text(encoding="utf-8")
-    assert "12 plants with one run of 100 attacked samples" in written
-    assert written.startswith((FOLDER / "README.md").read_text(encoding="utf-8").split(report.BEGIN)[0])
+class TestProgram(Reproduction):
+    program = program
+    folder = FOLDER
+    figures = tuple(f"fig{number}.svg" for number in range(2, 9))
+    off = ("evidence.same.split", 1.0)
+    scale = "12 plants with one run of 100 attacked samples"

@@ -2,6 +2,8 @@
 //!
 //! Reading order: [`estimator`] (the trait), [`bank`] (the drivers over it), then one file per algorithm.
 
+#![forbid(unsafe_code)]
+
 pub mod adaptive_joint;
 pub mod augmented;
 pub mod bank;

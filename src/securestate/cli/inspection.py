@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from rich.table import Table
 from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design
-from securestate.errors import DesignError
+from securestate.errors import DesignError, InsecureWarning, SecurestateWarning
 from securestate.estimators import METHODS
 from securestate.plant import Plant
 from securestate.resilience import undetectable_modes, unobserved_modes
@@ -21,16 +22,16 @@ MARGIN = 1e-9  # an eigenvalue this close to the unit circle is marginal
 def inspect(path: Path) -> Exit:
     """Print what a plant file says; the exit code tells whether any estimator can be designed."""
     plant = Plant.load(path)
-    refusals = {name: _refusal(plant, name) for name in METHODS}
+    verdicts = {name: _verdict(plant, name) for name in METHODS}
     shown = console.output()
     shown.print(f"{plant.name or path.name}: {_sizes(plant)}")
     shown.print()
     shown.print(_sensors(plant))
     shown.print()
-    says = (_says(name, refusal) for name, refusal in refusals.items())
+    says = (f"Method {name}: {said}." for name, (_, said) in verdicts.items())
     for line in [*_modes(plant), *says, _seats(plant)]:
         shown.print(line)
-    return Exit.DESIGN if all(refusals.values()) else Exit.CLEAN
+    return Exit.CLEAN if any(usable for usable, _ in verdicts.values()) else Exit.DESIGN
 
 
 def _sizes(plant: Plant) -> str:
@@ -81,13 +82,13 @@ def _seats(plant: Plant) -> str:
     return f"At most {seats} of {plant.n_sensors} sensors can be outvoted, fewer where few see the same mode."
 
 
-def _refusal(plant: Plant, name: str) -> DesignError | None:
-    try:
-        design(plant, name, {})
-    except DesignError as reason:
-        return reason
-    return None
-
-
-def _says(name: str, refusal: DesignError | None) -> str:
-    return f"Method {name}: " + ("can be used." if refusal is None else f"cannot be used: {refusal}.")
+def _verdict(plant: Plant, name: str) -> tuple[bool, str]:
+    """Whether a method can be designed, and what there is to say about it."""
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", SecurestateWarning)
+        try:
+            design(plant, name, {})
+        except DesignError as reason:
+            return False, f"cannot be used: {reason}"
+    insecure = [str(warning.message) for warning in told if issubclass(warning.category, InsecureWarning)]
+    return True, "; ".join(["can be used", *(f"but {reason}" for reason in insecure)])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
+from scipy import special
 
 from securestate.estimators._anneal import Groups
 from securestate.estimators._identify import START, Evidence, residuals
@@ -42,7 +42,7 @@ def doubt(seen: Evidence, groups: Groups, labels: Labels, keys: Index, fixed: bo
         return "no majority of the sensors agrees on a state"
     if fit.rounding > ROUNDING:
         return "the readings are so large that rounding hides their noise"
-    if fit.statistic > chi2.isf(ALPHA, fit.freedom):
+    if fit.statistic > special.chdtri(fit.freedom, ALPHA):
         return (
             f"those that are believed contradict each other: {fit.statistic:.4g} for "
             f"{fit.freedom} degrees of freedom"
@@ -104,8 +104,8 @@ def _rival(seen: Evidence, groups: Groups, labels: Labels, keys: Index, fixed: b
         other = relabel(wide.rows, believed, near, allowed) if enough(near, anchor) else None
         if other is None or not enough(other.honest, anchor):
             continue
-        consistent = other.fit.statistic <= chi2.isf(ALPHA, max(1, other.fit.freedom))
+        consistent = other.fit.statistic <= special.chdtri(max(1, other.fit.freedom), ALPHA)
         moved = labels.fit.X @ (other.fit.x0 - labels.fit.x0)  # in deviations of x0
-        if consistent and moved @ moved > chi2.isf(ALPHA, n):
+        if consistent and moved @ moved > special.chdtri(n, ALPHA):
             return True
     return False

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
-from scipy.stats import chi2
+from scipy import linalg, special
 
 from securestate.estimators._anneal import Groups
 
@@ -198,7 +197,7 @@ def _test(fit: Fit, groups: Groups, honest: Bool) -> tuple[Float, Bool]:
         d2, freedom = _distances_of_rows(fit, groups, honest)
     else:
         d2, freedom = _distances_of_blocks(fit, groups, honest)
-    return d2 / chi2.isf(ALPHA, np.maximum(freedom, 1)), freedom == groups.count
+    return d2 / special.chdtri(np.maximum(freedom, 1), ALPHA), freedom == groups.count
 
 
 def _distances_of_rows(fit: Fit, groups: Groups, honest: Bool) -> tuple[Float, Index]:
