@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import time
+import warnings
 from dataclasses import dataclass
 from typing import Literal, final
 
 import numpy as np
 
 from securestate._checks import whole_number
-from securestate.errors import DesignError, InputError
+from securestate.errors import DesignError, InputError, InsecureWarning
 from securestate.estimators.sparse_fusion import SparseFusion
 from securestate.plant import Plant
 from securestate.resilience.advice import Option, options, smallest_protection
@@ -185,7 +186,9 @@ def _form(
         if form == "robust" and not lasting:
             SparseFusion.require(plant)
             return FormMargin(form, tuple(FusionMargin(p, 0.0, 0.0, (), None) for p in counts))
-        design = SparseFusion(plant) if form == "robust" else SparseFusion(plant, form="paper", gamma=1.0)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InsecureWarning)  # that is what the margins say
+            design = SparseFusion(plant) if form == "robust" else SparseFusion(plant, form="paper", gamma=1.0)
     except DesignError as refusal:
         return FormMargin(form, (), refusal.reason)
     return FormMargin(form, tuple(design.margin(p, time_limit=time_limit / len(counts)) for p in counts))

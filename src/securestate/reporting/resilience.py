@@ -111,8 +111,8 @@ def _left_out(view: Visibility, part: Part) -> str:
     modes, sensors = view.sees.shape
     if len(part.rows) == modes and len(part.columns) == sensors:
         return ""
-    told = [f"Shown: the {len(part.rows)} weakest of {modes:,} modes" if len(part.rows) < modes else
-            f"Shown: all {count(modes, 'mode')}"]  # fmt: skip
+    cut = len(part.rows) < modes
+    told = [f"Shown: the {len(part.rows)} weakest of {modes:,} modes" if cut else "Shown: every mode"]
     if len(part.columns) < sensors:
         told.append(f"{len(part.columns)} of {count(sensors, 'sensor')}")
     hidden = part.involved - int(view.sees[np.ix_(part.rows, part.columns)].any(axis=0).sum())
