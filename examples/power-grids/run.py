@@ -1,4 +1,4 @@
-"""How many lying sensors the grids survive, where they are weakest, and what would help. Run it without arguments."""
+"""How many lying sensors the grids survive, where they are weakest, and what would help."""
 
 from __future__ import annotations
 

@@ -101,6 +101,11 @@ class Resilience:
         return 2 * max(0, self.max_attacked)
 
     @property
+    def verified(self) -> bool:
+        """Whether `eta` proves the limit without counting: any 2 p sensors leave something of every motion."""
+        return self.eta[0] > 0
+
+    @property
     def lasting(self) -> bool:
         """Whether some mode does not fade, so that `limit` is about errors that can grow or stay."""
         return bool(self.limit.modes) and self.limit.cut == SLOW

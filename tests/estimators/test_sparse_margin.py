@@ -112,6 +112,24 @@ def lasting_plant(seed: int) -> Plant:
     return Plant(T @ np.diag(values) @ T.T, 0.1 * np.eye(n), gauges)
 
 
+def test_what_is_secure_is_proved_twice() -> None:
+    proved = 0
+    for seed in range(10):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", InsecureWarning)
+            margin = SparseFusion(lasting_plant(seed)).margin(1)
+        assert (
+            margin.lower <= margin.upper <= margin.factor + 1e-12
+        )  # the search is never above the factorisation
+        proved += margin.factor < 1
+    assert proved >= 5
+    np.testing.assert_allclose(
+        [SparseFusion(liu()).margin([name]).factor for name in NAMES],
+        GOLDEN["rho_Nii_p1_factor_bound"],
+        rtol=0.05,
+    )
+
+
 def test_protected_sensors_are_never_among_the_attacked() -> None:
     plant = liu().with_protected([1, 2])
     estimator = SparseFusion(plant)

@@ -7,7 +7,12 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike, NDArray
 
 from securestate import DesignError, InputError, Plant, Sensor
-from securestate.resilience import undetectable_modes, unobserved_modes, unreachable_noise_modes
+from securestate.resilience import (
+    detectability_margin,
+    undetectable_modes,
+    unobserved_modes,
+    unreachable_noise_modes,
+)
 
 CONSTANT_VELOCITY = np.kron(np.eye(2), [[1.0, 0.1], [0.0, 1.0]])  # states: px, vx, py, vy
 
@@ -177,3 +182,25 @@ def test_a_sensor_that_does_not_exist_is_refused() -> None:
 def test_numbers_at_the_end_of_their_range_hide_nothing_and_raise_nothing() -> None:
     sensors = [Sensor("a", C=[1, 0], R=1.0), Sensor("b", C=[1, 1], R=1.0)]
     assert undetectable_modes(Plant([[1e308, 0.1], [0.0, 0.9]], np.eye(2), sensors)) == ()
+
+
+def test_the_margin_of_detectability_is_zero_only_where_a_mode_is_hidden() -> None:
+    plant = Plant(
+        np.diag([1.0, 1.0 + 1e-3, 0.5]),
+        np.eye(3),
+        [Sensor("sum", C=[1, 1, 0], R=1.0), Sensor("first", C=[1, 0, 0], R=1.0)],
+    )
+    assert detectability_margin(plant, [1]) < 1e-12  # the second mode is hidden from the first sensor
+    near = detectability_margin(plant, [0])
+    assert 1e-4 < near < 1e-3  # two modes that only their eigenvalues tell apart
+    assert detectability_margin(plant) > 0.3
+    assert detectability_margin(plant, [1], cut=0.0) < 1e-12
+    assert detectability_margin(Plant([[0.5]], [[1.0]], [Sensor("a", C=[1.0], R=1.0)])) == 1.0
+    unit = 10.0 ** np.array([3, -4, 2])
+    scaled = Plant(
+        plant.A * unit[:, None] / unit, np.diag(unit**2), [Sensor("sum", C=plant.C[0] / unit, R=1.0)]
+    )
+    alone = detectability_margin(plant.select([0]))
+    assert alone / 1.5 < detectability_margin(scaled) < 1.5 * alone  # the balance is in powers of two
+    with pytest.raises(InputError, match="sensor"):
+        detectability_margin(plant, [2])

@@ -3,6 +3,7 @@
 from securestate.resilience.advice import Option, options, smallest_protection
 from securestate.resilience.detectability import (
     Mode,
+    detectability_margin,
     modes,
     undetectable_modes,
     unobserved_modes,
@@ -23,6 +24,7 @@ __all__ = [
     "ModeLimit",
     "Option",
     "Visibility",
+    "detectability_margin",
     "limit",
     "margin",
     "modes",

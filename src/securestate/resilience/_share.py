@@ -128,12 +128,14 @@ class Share:
         lower, upper: bounds in [0, 1].
         direction: u, (d,), in the coordinates of the blocks.
         sensors: the attacked ones.
+        factor: the bound from above that needs no search.
     """
 
     lower: float
     upper: float
     direction: Array
     sensors: Indices
+    factor: float = 1.0
 
 
 def largest_share(
@@ -151,9 +153,12 @@ def largest_share(
     deadline = time.monotonic() + time_limit
     best = _Highest(norms, attacked)
     best.offer(_starts(norms))
-    upper = min(1.0, bound_from_above(norms, attacked))
+    upper = min(1.0, bound_from_above(norms, attacked, rounds=2 if decide else ROUNDS))
+    if decide and upper >= 0.5:
+        upper = min(1.0, bound_from_above(norms, attacked))
     if not (decide and upper < 0.5):
         _ascend(norms, attacked, best, _starts(norms), 60)
+    factor = upper
     settled = decide and (upper < 0.5 or best.share >= 0.5)
     if norms.dimension == 1:
         upper = best.share
@@ -163,7 +168,7 @@ def largest_share(
         _ascend(norms, attacked, best, best.z[None], 1000)
     upper = max(upper, best.share)
     u = norms.back @ best.z
-    return Share(best.share, upper, u / np.linalg.norm(u), best.sensors)
+    return Share(best.share, upper, u / np.linalg.norm(u), best.sensors, factor)
 
 
 class _Highest:
@@ -215,13 +220,16 @@ def _ascend(norms: Norms, attacked: Attacked, best: _Highest, Z: Array, rounds: 
         Z /= np.linalg.norm(Z, axis=1)[:, None]
 
 
-def bound_from_above(norms: Norms, attacked: Attacked) -> float:
+def bound_from_above(norms: Norms, attacked: Attacked, rounds: int = ROUNDS) -> float:
     """Bound kappa by what p sensors have of ||Z_bj|| in the worst column j, and by their largest entries."""
     H = norms.H
     B = len(H)
     Q = np.einsum("bkl,bkm->blm", H, H).reshape(B, -1)
     Z = np.vstack(
-        [_factor(H, Q, rows) for rows in np.array_split(np.arange(B), max(1, B * B * H[0].size // 10**6))]
+        [
+            _factor(H, Q, rows, rounds)
+            for rows in np.array_split(np.arange(B), max(1, B * B * H[0].size // 10**6))
+        ]
     )
     member = (norms.owner[:, None] == np.arange(norms.sensors)).astype(np.float64)
     by_column = attacked.sum((member.T @ Z).T).max()
@@ -229,7 +237,7 @@ def bound_from_above(norms: Norms, attacked: Attacked) -> float:
     return float(min(by_column, by_sensor))
 
 
-def _factor(H: Array, Q: Array, rows: Indices) -> Array:
+def _factor(H: Array, Q: Array, rows: Indices, rounds: int) -> Array:
     """||Z_bj|| for some blocks b and all j, (len(rows), B); every b has weights of its own."""
     d = H.shape[2]
     w = np.tile(
@@ -237,7 +245,7 @@ def _factor(H: Array, Q: Array, rows: Indices) -> Array:
     )
     best = np.full((len(rows), len(H)), np.inf)
     eagerness = 0.7
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         M = (w @ Q).reshape(-1, d, d)
         left = np.swapaxes(np.linalg.solve(M, np.swapaxes(H[rows], 1, 2)), 1, 2)
         Z = np.einsum("bkl,jml->bjkm", left, H, optimize=True)

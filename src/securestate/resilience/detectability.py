@@ -1,14 +1,12 @@
 """Modes of a plant that its sensors cannot see, or that its noise does not reach.
 
 The test of Popov, Belevitch and Hautus: a mode (lambda, v) with A v = lambda v is hidden from C if C v = 0,
-that is, if [A - lambda I; C] loses rank. Here every row and column of that matrix is first scaled by the size
-of what it is computed from, so that the units of states and channels hardly matter and cancellation is not
-taken for a signal; rank is lost where a singular value is below 1e-8 of the largest.
-
-Computed eigenvalues of a Jordan block of size k scatter by about eps^(1/k), but their mean is accurate. So
-the means of neighbouring eigenvalues are tested too; a mean that is no eigenvalue does not lose rank.
+that is, if [A - lambda I; C] loses rank. Here the eigenspaces of A come first (`eigenspaces`, in units in
+which A and C are even), and what is hidden is the part of them that no row sees: rank is lost where a
+singular value is below 1e-8.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,18 +15,13 @@ from numpy.typing import NDArray
 from securestate import _checks as check
 from securestate.errors import DesignError, InputError
 from securestate.plant import Plant
-from securestate.resilience.eigenspaces import eigenspaces, kernel_of, or_one, sight
+from securestate.resilience.eigenspaces import balanced_units, eigenspaces, kernel_of, or_one, sight
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
 
 CUT = 1 - 1e-9  # a mode of at least this size does not fade
 RANK = 1e-8  # singular value, relative to the largest, that counts as zero
-SAME = 1e-2  # relative distance within which eigenvalues may stand for one mode ...
-SPAN = 0.05  # ... if the direction leaves the span of those already known by no more than this
-NEIGHBOURS = (1e-2, 1e-3, 1e-5, 1e-7)  # scatter of Jordan blocks of size 7, 5, 3 and 2
-EXACT = 1e-12  # relative singular value of an eigenvalue that is as good as exact
-REAL = 1e-8  # relative imaginary part that counts as zero
 SHARE = 0.5  # a state is named if its part in a direction is at least this much of the largest
 
 
@@ -95,6 +88,40 @@ def unobserved_modes(plant: Plant, sensor: int, cut: float = CUT) -> tuple[Mode,
     """
     _require_constant(plant)
     return _hidden(plant.A, plant.C[plant.channels_of(sensor)], cut, plant.state_names)
+
+
+def detectability_margin(plant: Plant, sensors: Iterable[int] | None = None, cut: float = CUT) -> float:
+    """How far the plant is from hiding a mode with |eigenvalue| >= cut: 0 if it hides one.
+
+        min over lambda of the smallest singular value of  [(A - lambda I) / max(1, ||A||); C_j / (sigma_j
+        size)],
+
+    in units of the states in which A and C are even, sigma_j the noise of channel j, size the largest row.
+    Unlike a count it falls when two modes come so close that sensors cannot tell them apart.
+
+    Args:
+        plant: time-invariant.
+        sensors: only these, counted from 0; default all.
+        cut: 0 for observability.
+
+    Returns:
+        A number in [0, 1]; 1 if there is no such mode.
+
+    Raises:
+        DesignError: the plant varies in time.
+        InputError: there is no such sensor.
+    """
+    _require_constant(plant)
+    chosen = range(plant.n_sensors) if sensors is None else list(sensors)
+    rows = np.concatenate([np.arange(plant.m)[plant.channels_of(i)] for i in chosen] or [np.arange(0)])
+    X = plant.C / np.sqrt(np.diag(plant.R))[:, None]
+    units = balanced_units(plant.A, X)
+    A, X = plant.A / units[:, None] * units, X * units
+    size = max(1.0, float(np.linalg.norm(A, 2)))
+    seen = X[rows] / np.linalg.norm(X, axis=1).max()
+    values = [space.value for space in eigenspaces(plant.A, X, cut)]
+    tested = [np.vstack([(A - value * np.eye(plant.n)) / size, seen]) for value in values]
+    return min((float(np.linalg.svd(stacked, compute_uv=False)[-1]) for stacked in tested), default=1.0)
 
 
 def unreachable_noise_modes(plant: Plant, cut: float = CUT) -> tuple[Mode, ...]:

@@ -55,6 +55,8 @@ class FusionMargin:
         lower, upper: bounds of rho, >= 0, `inf` if nobody honest objects.
         sensors: the worst set found, by name.
         lie: what they should say; None if no mode needs a prior and nothing moves without bound.
+        factor: a second bound of rho from above, by a factorisation instead of a search: below 1 it proves
+            "secure" independently.
     """
 
     attacked: int
@@ -62,6 +64,7 @@ class FusionMargin:
     upper: float
     sensors: tuple[str, ...]
     lie: Lie | None
+    factor: float = 0.0
 
     @property
     def verdict(self) -> Literal["secure", "insecure", "undecided"]:
@@ -112,10 +115,11 @@ def _margin(
         blocks = tuple(block @ costly for block in penalties.blocks)
         norms = Norms.of(blocks, penalties.owner, plant.n_sensors)
         inner = largest_share(norms, who, gap=gap, time_limit=time_limit, decide=decide)
-        share = Share(inner.lower, inner.upper, costly @ inner.direction, inner.sensors)
+        share = Share(inner.lower, inner.upper, costly @ inner.direction, inner.sensors, inner.factor)
     sensors = tuple(int(i) for i in share.sensors)
     lie = lie_along(plant, X, sensors, penalties.V @ share.direction, penalties.V)
-    return FusionMargin(who.count, _rho(share.lower), _rho(share.upper), lie.sensors, lie)
+    rho = [_rho(kappa) for kappa in (share.lower, share.upper, share.factor)]
+    return FusionMargin(who.count, rho[0], rho[1], lie.sensors, lie, rho[2])
 
 
 def _attacked(plant: Plant, attacked: int | Iterable[str]) -> Attacked:

@@ -51,6 +51,7 @@ class ModeLimit:
         mode: that direction; None if protected sensors see every one.
         sensors: those that see it, by name.
         method: what settled the bounds.
+        alone: (N,) booleans: the sensors that see every direction by themselves.
         space: the eigenspace.
     """
 
@@ -60,6 +61,7 @@ class ModeLimit:
     mode: Mode | None
     sensors: tuple[str, ...]
     method: str
+    alone: NDArray[np.bool_]
 
     @property
     def eigenvalue(self) -> complex:
@@ -123,6 +125,14 @@ class Limit:
     def unlimited(self) -> bool:
         """Whether all sensors that may lie can do so at once: protected ones see all, or nothing matters."""
         return self.max_attacked == int((~self.plant.protected).sum())
+
+    @property
+    def alone(self) -> tuple[str, ...]:
+        """The sensors that see every mode by themselves."""
+        every = np.ones(self.plant.n_sensors, dtype=bool)
+        for mode in self.modes:
+            every = every & mode.alone
+        return tuple(name for name, sees in zip(self.plant.sensor_names, every, strict=True) if sees)
 
     @property
     def weakest(self) -> ModeLimit | None:
@@ -255,9 +265,10 @@ def exposed(
 
 def _mode_limit(plant: Plant, X: Array, space: Eigenspace, time_limit: float, target: float) -> ModeLimit:
     seen = sight(space, X, plant.channel_sensor, plant.n_sensors)
+    alone = np.bincount(seen.owner, minlength=plant.n_sensors) == space.multiplicity
     left = exposed(space, seen, X, plant.channel_sensor, plant.protected)
     if left is None:
-        return ModeLimit(space, math.inf, math.inf, None, (), "protected")
+        return ModeLimit(space, math.inf, math.inf, None, (), "protected", alone)
     part, seen = left
     count: Count = least_weight(seen, time_limit=time_limit, target=target)
     v = part.V @ count.direction
@@ -268,6 +279,7 @@ def _mode_limit(plant: Plant, X: Array, space: Eigenspace, time_limit: float, ta
         mode_along(space.value, v.astype(np.complex128), plant.state_names),
         tuple(plant.sensor_names[i] for i in count.sensors),
         count.method,
+        alone,
     )
 
 
