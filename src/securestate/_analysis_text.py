@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from securestate.resilience.limit import Limit, ModeLimit
+from securestate.resilience.limit import ROBUST, Limit, ModeLimit
 
 if TYPE_CHECKING:
     from securestate.analysis import FormMargin, Resilience
@@ -75,6 +75,8 @@ def remarks(found: Resilience) -> Iterator[str]:
         faint = ", which noise can hide for long" if found.eta[1] < FAINT else ""
         without = f"Margin: without the worst {found.robust_to} sensors"
         yield f"{without}, {left} of every motion is still seen{faint}."
+        if found.robust < limit.max_attacked:
+            yield f"A share of {ROBUST:g} or more is left up to {count(found.robust, 'lying sensor')}."
     levels = {(low, high) for _, low, high in found.profile}
     if len(levels) > 1:
         told = ", ".join(
@@ -101,7 +103,8 @@ def _advice(found: Resilience) -> Iterator[str]:
         goal = "To see every mode" if found.goal == 0 else f"To survive {count(found.goal, 'lying sensor')}"
         yield f"{goal}:"
         yield from (
-            f"  - {shorten(option)}{'' if option.fewest else ' (fewer may do)'}" for option in found.options
+            f"  - {option.told(NAMED)}{'' if option.fewest else ' (fewer may do)'}"
+            for option in found.options
         )
     elif not found.limit.unlimited and found.max_attacked < found.goal:
         yield f"No change of few sensors was found that survives {found.goal}."
@@ -109,13 +112,6 @@ def _advice(found: Resilience) -> Iterator[str]:
         chosen, fewest = found.protection
         many = f"{count(len(chosen), 'sensor')}{'' if fewest else ' (fewer may do)'}"
         yield f"To survive any number: protect {many}: {names(chosen)}."
-
-
-def shorten(option: object) -> str:
-    """An option, its list of names cut."""
-    told = str(option)
-    parts = told.split(", ")
-    return told if len(parts) <= NAMED else f"{', '.join(parts[:NAMED])} and {len(parts) + 1 - NAMED} more"
 
 
 def _estimators(found: Resilience) -> Iterator[str]:

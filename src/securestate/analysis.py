@@ -59,6 +59,7 @@ class Resilience:
         undetectable: modes that do not fade and that no sensor sees.
         eta: bounds of the least share of a motion that is left when the worst 2 p sensors are taken away, p
             the limit; `robust_to` is that 2 p.
+        robust: most liars p for which eta of the worst 2 p sensors is certainly 0.1 or more.
         profile: (tolerance, lowest, highest limit): one that falls with the tolerance rests on the model's
             digits.
         view: modes by sensors.
@@ -79,6 +80,7 @@ class Resilience:
     all_modes: Limit
     undetectable: tuple[Mode, ...]
     eta: tuple[float, float]
+    robust: int
     profile: tuple[tuple[float, int, int], ...]
     view: Visibility
     forms: tuple[FormMargin, ...]
@@ -102,7 +104,7 @@ class Resilience:
 
     @property
     def verified(self) -> bool:
-        """Whether `eta` proves the limit without counting: any 2 p sensors leave something of every motion."""
+        """Whether `eta` proves the limit without counting: something is left of every motion."""
         return self.eta[0] > 0
 
     @property
@@ -143,7 +145,7 @@ def analyse(
         >>> sensors = [Sensor(name, C=[1, 0], R=1) for name in "abc"] + [Sensor("d", C=[1, 1], R=1)]
         >>> resilience = analyse(Plant([[1, 0], [0, 1]], [[1, 0], [0, 1]], sensors))
         >>> resilience.max_attacked, str(resilience.options[0])
-        (0, 'install a second d (x2)')
+        (0, 'duplicate d twice')
     """
     if not isinstance(plant, Plant):
         raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
@@ -168,6 +170,7 @@ def analyse(
         all_modes=every,
         undetectable=undetectable_modes(plant, SLOW),
         eta=found.margin(2 * max(0, found.max_attacked)),
+        robust=found.robust(),
         profile=_profile(plant, found, 0.1 * time_limit),
         view=visibility(found),
         forms=forms,
@@ -223,10 +226,14 @@ def _recommended(
             f"with rho {robust.margins[0].upper:.3g} no single sensor can move it without bound, if the liar "
             "stays the same; where the attacked set changes at every instant, innovation-mixture is better"
         )
+    weighs = (
+        "it weighs every reading by how well it agrees with all others, also where the attacked set changes"
+    )
+    if robust.refusal:
+        return "innovation-mixture", f"{weighs}; sparse fusion cannot be designed for this plant"
+    if robust.margins[0].verdict == "secure":
+        return "innovation-mixture", f"{weighs}; where the liars stay the same, sparse is as good"
     return "innovation-mixture", (
-        "it weighs every reading by how well it agrees with all others, also where the attacked set changes; "
-        "where the same sensors lie all the time, sparse is as good"
-        if robust.margins and robust.margins[0].verdict == "secure"
-        else "sparse fusion has no guarantee on this plant; this method has none either, but judges sensors "
-        "by more than one sample and says when two explanations fit"
+        "sparse fusion has no guarantee on this plant; this method has none either, but judges sensors by more "
+        "than one sample and says when two explanations fit"
     )

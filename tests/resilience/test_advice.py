@@ -90,7 +90,7 @@ def test_advice_for_the_grids_is_golden(case: str) -> None:
 
 def test_the_grid_of_14_buses_needs_one_change_at_bus_8() -> None:
     told = [str(option) for option in options(limit(dc_grid("case14"), 0.0), 2)]
-    assert sorted(told) == ["install a second injection 8", "measure angle of bus 8", "protect injection 8"]
+    assert sorted(told) == ["duplicate injection 8", "measure angle of bus 8", "protect injection 8"]
 
 
 def test_a_mode_that_nobody_sees_asks_for_a_new_sensor() -> None:

@@ -293,8 +293,9 @@ def _paper(plant: Plant) -> Decomposition:
     except np.linalg.LinAlgError:
         condition = np.inf
     if not condition <= CONDITION_LIMIT:
+        spoiled = f"has the condition number {condition:.1e}, above {CONDITION_LIMIT:.0e}"
         raise DesignError(
-            f"in the Jordan basis W has the condition number {condition:.1e}, above {CONDITION_LIMIT:.0e}",
+            f"in the Jordan basis W {'is singular in double precision' if np.isinf(condition) else spoiled}",
             'use form="robust", whose W is never worse than the plant itself',
         )
     return result

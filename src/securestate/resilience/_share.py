@@ -252,7 +252,9 @@ def _factor(H: Array, Q: Array, rows: Indices, rounds: int) -> Array:
         sizes = w * _spectral_norms(Z)
         better = sizes.max(axis=1) < best.max(axis=1)
         best[better] = sizes[better]
-        spread = np.log(np.maximum(sizes, 1e-12)) - np.log(sizes.max(axis=1, keepdims=True))
+        spread = np.log(np.maximum(sizes, 1e-12)) - np.log(
+            np.maximum(sizes.max(axis=1, keepdims=True), 1e-12)
+        )
         w = w * np.clip(np.exp(-eagerness * spread), 1, 5)
         w /= w.sum(axis=1, keepdims=True)
         eagerness = max(0.15, 0.96 * eagerness)

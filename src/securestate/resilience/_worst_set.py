@@ -62,11 +62,12 @@ def worst_set(X: Field, channel_sensor: NDArray[np.int64], allowed: NDArray[np.b
     leverage = np.einsum("icc->i", own).real
     if k == 0:
         return WorstSet(1.0, 1.0, candidates[:0])
-    best, chosen = _alternate(H, leverage, k)
     if X.shape[1] == 1:
         chosen = np.sort(np.argsort(-leverage, kind="stable")[:k])
-        best = lower = _left(H, chosen[None])[0]
-    elif math.comb(len(H), k) <= BUDGET:
+        share = float(_left(H, chosen[None])[0])
+        return WorstSet(share, share, candidates[chosen])
+    best, chosen = _alternate(H, leverage, k)
+    if math.comb(len(H), k) <= BUDGET:
         best, chosen = _enumerate(H, leverage, k, best, chosen)
         lower = best
     else:
@@ -101,7 +102,8 @@ def _left(H: Field, sets: Indices) -> Array:
 def _alternate(H: Field, leverage: Array, k: int) -> tuple[float, Indices]:
     """A good set, from every sensor as a start: add whoever takes most of what is left, then exchange."""
     best, chosen = np.inf, np.arange(k)
-    for first in np.argsort(-leverage, kind="stable")[:8]:
+    starts = max(1, min(8, 1000 // k**2))
+    for first in np.argsort(-leverage, kind="stable")[:starts]:
         found = [int(first)]
         while len(found) < k:
             found.append(_best_addition(H, found)[0])

@@ -21,8 +21,9 @@ from securestate.resilience.margin import noise_scaled
 
 Kind = Literal["copy", "measure", "protect"]
 
-#: What an engineer does, by kind, and before how many things.
-_VERBS = {"copy": "install a second", "measure": "measure", "protect": "protect"}
+#: What an engineer does, by kind.
+_VERBS = {"copy": "duplicate", "measure": "measure", "protect": "protect"}
+_TIMES = {2: "twice", 3: "three times", 4: "four times"}
 
 
 @final
@@ -50,8 +51,13 @@ class Option:
         return sum(times for _, times in self.items)
 
     def __str__(self) -> str:
-        named = [name if times == 1 else f"{name} (x{times})" for name, times in self.items]
-        return f"{_VERBS[self.kind]} {_listed(named)}"
+        return self.told(len(self.items))
+
+    def told(self, most: int) -> str:
+        """What to do, with at most so many names."""
+        named = [name if times == 1 else f"{name} {_TIMES[times]}" for name, times in self.items]
+        left = len(named) - most
+        return f"{_VERBS[self.kind]} {_listed(named if left <= 0 else [*named[:most], f'{left} more'])}"
 
 
 def options(found: Limit, attacked: int, time_limit: float = 60.0) -> tuple[Option, ...]:

@@ -36,6 +36,8 @@ from securestate.resilience.eigenspaces import (
 from securestate.resilience.lie import Lie, lie_along
 from securestate.resilience.margin import SLOW, noise_scaled
 
+#: Share of a motion that is worth having left.
+ROBUST = 0.1
 #: Tolerances of a profile.
 TOLERANCES = (1e-10, 1e-8, 1e-6, 1e-4, 1e-3)
 
@@ -159,6 +161,13 @@ class Limit:
         lower = min((found.lower for found in sets), default=1.0)
         upper = min((found.upper for found in sets), default=1.0)
         return (0.0, 0.0) if self.upper <= removed else (lower, upper)
+
+    def robust(self, share: float = ROBUST) -> int:
+        """Most liars p, up to the limit, for which `margin(2 p)` is certainly at least this share."""
+        for liars in range(1, self.max_attacked + 1):
+            if self.margin(2 * liars)[0] < share:
+                return liars - 1
+        return max(0, self.max_attacked)
 
     def ambiguity(self, attacked: int) -> tuple[Lie, Lie] | None:
         """Two lies of at most `attacked` sensors each that no estimator can tell apart; None if there are
