@@ -206,9 +206,7 @@ def main(arguments: list[str] | None = None) -> None:
     )
     for n, N in ((2, 8), (4, 15)):
         rows = [
-            row
-            for p in sorted({1, N // 4, N // 3, (N - 1) // 2})
-            for row in constant(ordinary(n, N), f"n={n}", p, 8)
+            row for p in sorted({1, N // 3, (N - 1) // 2}) for row in constant(ordinary(n, N), f"n={n}", p, 8)
         ]
         show(f"An ordinary plant, n={n}", rows)
 
