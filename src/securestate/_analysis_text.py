@@ -28,25 +28,22 @@ def text(found: Resilience) -> str:
 
 def headline(found: Resilience) -> str:
     """One sentence: what the installation survives."""
-    name = found.plant.name or "This plant"
-    limit = found.limit
+    return f"{found.plant.name or 'This plant'} {survives(found.limit)}."
+
+
+def survives(limit: Limit) -> str:
+    """What a plant survives, as a phrase that begins with a verb."""
     if limit.upper == 0:
-        unseen = ", ".join(map(str, found.undetectable)) or _weak(limit)
-        return f"{name} cannot be secured: {unseen} is seen by no sensor."
+        return f"cannot be secured: {_weak(limit)} is seen by no sensor"
     if limit.unlimited:
-        return f"{name} survives any number of lying sensors" + (
-            ": nothing that lasts has to be seen."
-            if not limit.modes
-            else ": the protected ones see every mode."
-        )
+        why = "the protected ones see every mode" if limit.modes else "nothing that lasts has to be seen"
+        return f"survives any number of lying sensors: {why}"
     if not limit.exact:
         between = f"{limit.max_attacked} to {limit.max_attacked_upper}"
-        return f"{name} survives {between} lying sensors (not settled in time)."
+        return f"survives {between} lying sensors (not settled in time)"
     if limit.max_attacked == 0:
-        return f"{name} survives no lying sensor."
-    return (
-        f"{name} survives {count(limit.max_attacked, 'lying sensor')}, whichever {_they(limit.max_attacked)}."
-    )
+        return "survives no lying sensor"
+    return f"survives {count(limit.max_attacked, 'lying sensor')}, whichever {_they(limit.max_attacked)}"
 
 
 def _they(number: int) -> str:

@@ -234,6 +234,6 @@ def _recommended(
     if robust.margins[0].verdict == "secure":
         return "innovation-mixture", f"{weighs}; where the liars stay the same, sparse is as good"
     return "innovation-mixture", (
-        "sparse fusion has no guarantee on this plant; this method has none either, but judges sensors by more "
-        "than one sample and says when two explanations fit"
+        "sparse fusion has no guarantee on this plant; this method has none either, but judges sensors by "
+        "more than one sample and says when two explanations fit"
     )

@@ -176,6 +176,7 @@ def test_equals_the_kalman_filter_to_the_bit_while_nobody_is_alarmed(name: str) 
     np.testing.assert_array_equal(run.attack, np.where(np.isnan(y), np.nan, 0.0))
 
 
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
 @pytest.mark.parametrize("name", FUSED)
 def test_a_huge_prior_does_not_hide_the_noise_between_channels_of_one_sensor(name: str) -> None:
     plant = Plant(
@@ -311,6 +312,7 @@ def test_partly_missing_sensors_are_tested_on_what_arrived() -> None:
         assert run.suspected[100, 0] and run.trust[99, 0] == 1
 
 
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
 def test_a_sensors_own_filter_sees_only_its_part_of_the_state() -> None:
     sensors = [Sensor("a", C=[1.0, 0.0], R=1.0), Sensor("b", C=[0.0, 1.0], R=1.0)]
     plant = Plant([[1.0, 0.0], [0.0, 1.2]], np.eye(2), sensors)

@@ -460,6 +460,7 @@ def test_plants_that_the_method_cannot_take_are_refused_with_the_reason() -> Non
         MixtureFusion(Plant([[0.5]], [[1.0]], pair, R=[[1.0, 0.2], [0.2, 1.0]]))
 
 
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
 def test_a_sensor_that_sees_too_little_is_named_and_feedback_does_without() -> None:
     axes = [Sensor("east", C=[1.0, 0.0], R=1.0), Sensor("north", C=[0.0, 1.0], R=1.0)]
     plant = Plant(np.eye(2), np.eye(2), axes)

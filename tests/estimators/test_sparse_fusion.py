@@ -145,6 +145,7 @@ def test_robust_form_solves_the_same_problem_as_a_general_solver(seed: int, scal
         np.testing.assert_allclose(run.x[k], F @ (zeta + f), rtol=0, atol=1e-6 * max(1.0, np.abs(zeta).max()))
 
 
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
 @pytest.mark.parametrize("attack", [0.0, 20.0])
 def test_paper_form_solves_problem_31(attack: float) -> None:
     plant = liu(inputs=False)
@@ -182,6 +183,7 @@ def test_a_complex_pair_in_real_form_is_the_complex_problem() -> None:
         np.testing.assert_allclose(run.x[k], np.hstack(list(parts.F)) @ (zeta + f), rtol=0, atol=1e-6)
 
 
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
 @pytest.mark.parametrize("case", GOLDEN["lasso"], ids=lambda case: str(case["gamma"]))
 def test_lasso_solutions_are_golden(case: dict[str, list[float]]) -> None:
     parts = SparseFusion(liu(), form="paper", gamma=1.0).decomposition

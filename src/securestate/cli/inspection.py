@@ -8,14 +8,16 @@ from pathlib import Path
 import numpy as np
 from rich.table import Table
 
+from securestate._analysis_text import survives
 from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design
 from securestate.errors import DesignError, InsecureWarning, SecurestateWarning
 from securestate.estimators import METHODS
 from securestate.plant import Plant
-from securestate.resilience import undetectable_modes, unobserved_modes
+from securestate.resilience import relevant, undetectable_modes, unobserved_modes
 
+PATIENCE = 5.0  # seconds for the number of liars
 MARGIN = 1e-9  # an eigenvalue this close to the unit circle is marginal
 
 
@@ -29,7 +31,7 @@ def inspect(path: Path) -> Exit:
     shown.print(_sensors(plant))
     shown.print()
     says = (f"Method {name}: {said}." for name, (_, said) in verdicts.items())
-    for line in [*_modes(plant), *says, _seats(plant)]:
+    for line in [*_modes(plant), *says, _liars(plant)]:
         shown.print(line)
     return Exit.CLEAN if any(usable for usable, _ in verdicts.values()) else Exit.DESIGN
 
@@ -72,14 +74,11 @@ def _modes(plant: Plant) -> list[str]:
     ]
 
 
-def _seats(plant: Plant) -> str:
-    seats = (plant.n_sensors - 1) // 2
-    if 0 < plant.protected.sum() < plant.n_sensors:
-        judges = f"{plant.protected.sum()} of {plant.n_sensors} sensors are protected"
-        return f"{judges}: some methods judge the others by them; without, at most {seats} can be outvoted."
-    if not seats:
-        return "Too few sensors: when one lies, the others cannot outvote it."
-    return f"At most {seats} of {plant.n_sensors} sensors can be outvoted, fewer where few see the same mode."
+def _liars(plant: Plant) -> str:
+    if plant.time_varying:
+        return f"At most {(plant.n_sensors - 1) // 2} of {plant.n_sensors} sensors can be outvoted."
+    found = relevant(plant, time_limit=PATIENCE)
+    return f"The plant {survives(found)}; `securestate analyse` says where it is weak and what would help."
 
 
 def _verdict(plant: Plant, name: str) -> tuple[bool, str]:

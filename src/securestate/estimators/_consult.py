@@ -54,7 +54,7 @@ def warn_of_limit(plant: Plant, stacklevel: int = 3) -> None:
         return
     found = limit(plant, SLOW, target=3, time_limit=PATIENCE)
     weak = found.weakest
-    if weak is None or found.max_attacked_upper >= 1:
+    if weak is None or weak.upper == 0 or found.max_attacked_upper >= 1:
         return
     seen = "one sensor" if len(weak.sensors) == 1 else f"{len(weak.sensors)} sensors"
     warnings.warn(

@@ -153,9 +153,9 @@ class SparseFusion(Estimator):
         _check_settings(plant, form, kalman_probability, gamma)
         if refit is not None:
             refit = yes_or_no("refit", refit, InputError)
-        refuse_without_redundancy(plant)
         refit = form == "robust" if refit is None else refit
         self.decomposition = _robust(plant) if form == "robust" else _paper(plant)
+        refuse_without_redundancy(plant)
         axes = coordinates(plant, self.decomposition, form)
         if form == "robust":
             if gamma is None:
