@@ -107,6 +107,16 @@ def test_cones_beyond_the_width_keep_their_bounds(monkeypatch: pytest.MonkeyPatc
     assert cut.upper >= whole.lower
 
 
+def test_sensors_that_say_nothing_of_any_direction_change_nothing() -> None:
+    rng = np.random.default_rng(9)
+    blocks = [*rng.standard_normal((6, 2, 2)), np.zeros((2, 2)), np.zeros((1, 2))]
+    norms = Norms.of(blocks, range(8), 8)
+    found = largest_share(norms, anybody(8, 2))
+    same = largest_share(Norms.of(blocks[:6], range(6), 6), anybody(6, 2))
+    assert (found.lower, found.upper, found.factor) == pytest.approx((same.lower, same.upper, same.factor))
+    assert set(found.sensors) <= set(range(6))
+
+
 def test_nobody_attacked_has_no_share_and_everybody_all() -> None:
     norms = group_norms(1, 5, 3)
     assert largest_share(norms, anybody(5, 0)).upper == 0.0

@@ -29,6 +29,8 @@ from numpy.typing import NDArray
 
 from securestate.resilience.eigenspaces import Array, Indices
 
+#: Norm below which a block counts as zero where all blocks together have norm sqrt(d).
+SILENT = 1e-12
 #: Dimensions up to which the branch and bound is worth starting.
 SMALL = 6
 #: Rounds of reweighting of the bound from above.
@@ -65,7 +67,9 @@ class Norms:
             H = np.asarray(np.linalg.qr(H, mode="r"))
         _, shares, Wh = np.linalg.svd(H.reshape(-1, H.shape[2]), full_matrices=False)
         back = Wh.T / shares
-        return cls(H @ back, np.array(owner, dtype=np.intp), sensors, back)
+        H = H @ back
+        heard = np.linalg.norm(H, axis=(1, 2)) > SILENT  # a block that is zero says nothing
+        return cls(H[heard], np.array(owner, dtype=np.intp)[heard], sensors, back)
 
     @property
     def dimension(self) -> int:

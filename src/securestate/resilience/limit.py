@@ -146,8 +146,7 @@ class Limit:
         return free if math.isinf(count) else min(free, max(-1, (int(count) - 1) // 2))
 
     def margin(self, removed: int) -> tuple[float, float]:
-        """Bounds of eta: the least share of a motion that is left when the worst `removed` sensors are taken
-        away.
+        """Bounds of eta: the least share of a motion that is left without the worst `removed` sensors.
 
         0: some motion is lost. eta^2 is the share of information that is left in the worst direction.
 
@@ -170,8 +169,7 @@ class Limit:
         return max(0, self.max_attacked)
 
     def ambiguity(self, attacked: int) -> tuple[Lie, Lie] | None:
-        """Two lies of at most `attacked` sensors each that no estimator can tell apart; None if there are
-        none.
+        """Two lies of at most `attacked` sensors each that nobody can tell apart; None if there are none.
 
         The sensors of the first that say x + d and those of the second that say x - d send the same as long
         as the state is x in the first case and x + d in the second.

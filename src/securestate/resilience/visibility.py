@@ -20,8 +20,7 @@ ALIKE = 1 - 1e-9
 @final
 @dataclass(frozen=True, eq=False)
 class Visibility:
-    """One row per mode: the direction of every eigenspace that fewest sensors see first, then a basis of the
-    rest.
+    """One row per mode: of every eigenspace the direction that fewest sensors see, then a basis.
 
     Attributes:
         modes: M directions, those seen by fewest sensors first.
