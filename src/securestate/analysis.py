@@ -145,7 +145,7 @@ def analyse(
         >>> sensors = [Sensor(name, C=[1, 0], R=1) for name in "abc"] + [Sensor("d", C=[1, 1], R=1)]
         >>> resilience = analyse(Plant([[1, 0], [0, 1]], [[1, 0], [0, 1]], sensors))
         >>> resilience.max_attacked, str(resilience.options[0])
-        (0, 'duplicate d twice')
+        (0, 'protect d')
     """
     if not isinstance(plant, Plant):
         raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
