@@ -12,7 +12,10 @@ export PYO3_PYTHON := $(CURDIR)/$(PY)
 # Without bytecode each of the many processes that the tests start compiles every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
+# One thing after the other, but for the checks that `make test` runs side by side.
+ifndef SIDE_BY_SIDE
 .NOTPARALLEL:
+endif
 .DEFAULT_GOAL := help
 .PHONY: help setup run test lint types contracts rust pytest bench papers arena format requirements clean
 
@@ -24,7 +27,9 @@ setup: $(KERNELS) ## make .venv, install the dependencies, build the Rust kernel
 run: setup ## the main job on the Tennessee Eastman data
 	@$(PY) examples/tennessee-eastman/run.py $(ARGS)
 
-test: lint types contracts rust pytest ## every check, in this order; stops at the first failure
+test: $(ENVIRONMENT) ## every check; stops at the first failure
+	@$(MAKE) --no-print-directory -j2 SIDE_BY_SIDE=1 lint contracts types rust
+	@$(MAKE) --no-print-directory pytest
 
 test lint types contracts rust pytest: export NO_COLOR := 1
 test lint types contracts rust pytest: export CARGO_TERM_COLOR := never
@@ -40,7 +45,7 @@ types: setup ## mypy --strict, and the kernels' stubs against the built module
 contracts: setup ## imports point down only
 	.venv/bin/lint-imports --no-logo
 
-rust: setup ## rustfmt, clippy, cargo test
+rust: $(ENVIRONMENT) ## rustfmt, clippy, cargo test
 	cargo fmt --all --check
 	cargo clippy --quiet --locked --workspace --all-targets -- -D warnings
 	cargo test --quiet --locked

@@ -81,7 +81,7 @@ def _sees(plant: Plant, sensor: int, v: NDArray[np.complex128]) -> bool:
 def test_every_method_of_counting_alone_gives_the_count_of_brute_force(vectors: bool) -> None:
     rng = np.random.default_rng(13)
     checked = 0
-    while checked < 60:
+    while checked < 30:
         seen, count = whole_space(rng, vectors=vectors)
         if not count:
             assert least_weight(seen).upper == 0

@@ -12,7 +12,7 @@ from securestate.resilience.limit import limit
 from securestate.resilience.margin import SLOW, noise_scaled
 
 #: Seconds that the question may take at design time.
-PATIENCE = 0.5
+PATIENCE = 0.2
 
 _ADVICE = "securestate.analyse(plant) says which sensor would help"
 
@@ -48,7 +48,7 @@ def warn_of_margin(margin: FusionMargin, stacklevel: int = 3) -> None:
 def warn_of_limit(plant: Plant, stacklevel: int = 3) -> None:
     """Warn if no estimator at all can follow a mode that lasts while one sensor lies.
 
-    Nothing is said of a plant that varies in time, or where the count takes longer than half a second.
+    Nothing is said of a plant that varies in time, or where the count takes longer than a moment.
     """
     if plant.time_varying:
         return
