@@ -24,9 +24,9 @@ def row(case: str) -> str:
     limit = found.limit
     seen = f"{limit.lower:.0f}" if limit.exact else f"{limit.lower:.0f} to {limit.upper:.0f}"
     weak = ", ".join(limit.weakest.sensors) if limit.weakest else "-"
-    what = {"copy": "second sensors", "measure": "new angles", "protect": "protected"}
+    what = {"copy": "second sensors", "measure": "new angles", "protect": "protected", "add": "both kinds"}
     advice = (
-        ", ".join(f"{option.total} {what[option.kind]}" for option in found.options) or "not found in time"
+        ", ".join(f"{what[option.kind]} {option.total}" for option in found.options) or "not found in time"
     )
     cells = [case, f"{plant.n}, {plant.m}", f"{seen} sensors", f"{found.max_attacked}", weak, advice]
     return f"| {' | '.join(cells)} | {seconds:.1f} |"

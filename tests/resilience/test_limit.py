@@ -2,13 +2,13 @@
 
 import json
 import math
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from benches.resilience import big_m, dc_grid
 from securestate import DesignError, InputError, Plant, Sensor
 from securestate.resilience import limit, profile, relevant
 from securestate.resilience._bases import basis_along
@@ -21,10 +21,6 @@ from tests.reference.resilience import Case, count_of, fewest_seeing, random_cas
 
 ROOT = Path(__file__).parent.parent
 GOLDEN = json.loads((ROOT / "cases" / "resilience" / "golden.json").read_text())
-sys.path.insert(0, str(ROOT.parent / "examples" / "power-grids"))
-
-from grids import dc_grid  # noqa: E402
-
 Array = NDArray[np.float64]
 FOREVER = math.inf
 
@@ -257,6 +253,10 @@ def test_the_limit_of_every_grid_is_golden(case: str) -> None:
         if exact and k < 4:
             np.testing.assert_allclose(found.margin(k), (lower, upper), rtol=1e-9)
     assert found.margin(4) == (0.0, 0.0)
+
+
+def test_the_textbook_programme_finds_the_same_count_on_a_grid() -> None:
+    assert big_m(dc_grid("case14").C) == limit(dc_grid("case14"), 0.0).lower == 4
 
 
 def test_no_mode_of_the_grids_lasts_so_that_all_modes_count() -> None:

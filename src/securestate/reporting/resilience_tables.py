@@ -20,6 +20,7 @@ KINDS = {
     "copy": "Install more of the same",
     "measure": "Measure a state",
     "protect": "Protect",
+    "add": "Add sensors",
 }
 """What kinds of options are called."""
 

@@ -19,10 +19,10 @@ from securestate.resilience.eigenspaces import Array, Indices, Sight, sight
 from securestate.resilience.limit import Limit, exposed
 from securestate.resilience.margin import noise_scaled
 
-Kind = Literal["copy", "measure", "protect"]
+Kind = Literal["copy", "measure", "protect", "add"]
 
 #: What an engineer does, by kind.
-_VERBS = {"copy": "duplicate", "measure": "measure", "protect": "protect"}
+_VERBS = {"copy": "duplicate", "measure": "measure", "protect": "protect", "add": "add"}
 _TIMES = {2: "twice", 3: "three times", 4: "four times"}
 
 
@@ -34,7 +34,7 @@ class Option:
     Attributes:
         kind: "copy": a second sensor of the same kind at the same place; "measure": a new sensor of one
             state; "protect": nobody can tamper with it any more.
-        items: names of sensors (copy, protect) or states (measure), and how often.
+        items: names of sensors (copy, protect), of states (measure) or of what is added (add), and how often.
         fewest: whether it is proved that fewer of this kind do not do.
         plant: the plant with the change made. A copy has the noise of its original, a new sensor that of the
             present one that sees its state best.
@@ -69,7 +69,8 @@ def options(found: Limit, attacked: int, time_limit: float = 60.0) -> tuple[Opti
         time_limit: seconds; kinds that are not settled by then are left out.
 
     Returns:
-        At most one way of each kind; none if the limit is as high already or no such change can raise it.
+        At most one way of each kind, "add" only if it takes fewer than copies alone and new sensors alone;
+        none if the limit is as high already or no such change can raise it.
 
     Raises:
         InputError: attacked is no whole number >= 0.
@@ -80,8 +81,13 @@ def options(found: Limit, attacked: int, time_limit: float = 60.0) -> tuple[Opti
         return ()
     kinds: tuple[Kind, ...] = ("copy", "measure", "protect")
     with one_blas_thread():
-        ways = [_option(found, kind, attacked, (deadline - time.monotonic()) / 2) for kind in kinds]
-    return tuple(sorted((way for way in ways if way is not None), key=lambda way: way.total))
+        tried = {kind: _option(found, kind, attacked, (deadline - time.monotonic()) / 2) for kind in kinds}
+        ways = [way for way in tried.values() if way is not None]
+        alone = min((way.total for way in ways if way.kind != "protect"), default=2)
+        both = None if alone < 2 else _option(found, "add", attacked, (deadline - time.monotonic()) / 2)
+        if both is not None and both.total < alone:
+            ways.append(both)
+    return tuple(sorted(ways, key=lambda way: way.total))
 
 
 def smallest_protection(found: Limit, time_limit: float = 30.0) -> tuple[tuple[str, ...], bool] | None:
@@ -102,29 +108,33 @@ def smallest_protection(found: Limit, time_limit: float = 30.0) -> tuple[tuple[s
 
 
 def _option(found: Limit, kind: Kind, attacked: int, time_limit: float) -> Option | None:
-    plant, n = found.plant, found.plant.n
-    N, X = plant.n_sensors, noise_scaled(plant)
-    goal = 2 * attacked + 1
-    owner = plant.channel_sensor
-    free = (~plant.protected).astype(np.float64)
-    weights, gain, most = (
-        free,
-        free if kind == "copy" else goal * free,
-        free * (COPIES if kind == "copy" else 1),
-    )
-    if kind == "measure":
+    """The fewest changes of one kind; candidates are the N sensors and then, to be measured, the n states."""
+    plant, goal = found.plant, 2 * attacked + 1
+    n, N, X, owner = plant.n, plant.n_sensors, noise_scaled(plant), plant.channel_sensor
+    free, states = ~plant.protected, np.zeros(0, dtype=bool)
+    if kind in ("measure", "add"):
         X, owner = np.vstack([X, np.eye(n)]), np.concatenate([owner, np.arange(N, N + n)])
-        weights = np.concatenate([free, np.zeros(n)])
-        gain, most = 1.0 - np.concatenate([np.ones(N), np.zeros(n)]), COPIES * (weights == 0)
-        most[:N] = 0
-    sights = _open_sights(found, X, owner, len(weights))
-    change = fewest_changes(sights, weights, gain, most, goal, time_limit)
+        states = np.ones(n, dtype=bool)
+    weights = np.concatenate([free, 0 * states]).astype(np.float64)
+    most = np.concatenate([free & (kind != "measure"), states]) * (1.0 if kind == "protect" else COPIES)
+    gain = np.minimum(most, 1.0) * (goal if kind == "protect" else 1.0)
+    change = fewest_changes(
+        _open_sights(found, X, owner, len(weights)), weights, gain, most, goal, time_limit
+    )
     if change is None or not change.times.any():
         return None
-    times = change.times[N:] if kind == "measure" else change.times
-    names = plant.state_names if kind == "measure" else plant.sensor_names
-    items = tuple((names[i], int(times[i])) for i in np.flatnonzero(times))
-    return Option(kind, items, change.lower >= times.sum(), _changed(plant, kind, times))
+    after = _changed(plant, kind, change.times)
+    return Option(kind, _items(plant, kind, change.times), change.lower >= change.times.sum(), after)
+
+
+def _items(plant: Plant, kind: Kind, times: Indices) -> tuple[tuple[str, int], ...]:
+    """What is changed by name, and how often."""
+    states = plant.state_names
+    if kind == "add":
+        names = [f"second {name}" for name in plant.sensor_names] + [f"sensor of {name}" for name in states]
+    else:
+        names = [*plant.sensor_names, *states]
+    return tuple((names[i], int(times[i])) for i in np.flatnonzero(times))
 
 
 def _open_sights(found: Limit, X: Array, owner: Indices, sensors: int) -> list[Sight]:
@@ -142,10 +152,8 @@ def _changed(plant: Plant, kind: Kind, times: Indices) -> Plant:
     chosen = np.flatnonzero(times)
     if kind == "protect":
         return plant.with_protected(chosen.tolist())
-    extra = (
-        _copy(plant, int(i)) if kind == "copy" else _gauge(plant, int(i))
-        for i in np.repeat(chosen, times[chosen])
-    )
+    places = np.repeat(chosen, times[chosen]).tolist()
+    extra = (_copy(plant, i) if i < plant.n_sensors else _gauge(plant, i - plant.n_sensors) for i in places)
     return plant.with_sensors(_distinct(extra, plant.sensor_names))
 
 
