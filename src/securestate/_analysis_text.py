@@ -60,8 +60,8 @@ def remarks(found: Resilience) -> Iterator[str]:
     if not found.lasting and limit.modes:
         largest = float(np.abs(np.linalg.eigvals(plant.A)).max())
         yield (
-            f"Every mode fades (largest |eigenvalue| {largest:.4g}), so no lie moves the estimate without "
-            "bound; the limit is for telling the state from a lie while it lasts."
+            f"Every mode fades (largest |eigenvalue| {largest:.4g}), so the error stays bounded even without "
+            "sensors; the limit is for telling the state from a lie while it lasts."
         )
     elif found.all_modes is not limit and found.all_modes.max_attacked != limit.max_attacked:
         yield f"With the modes that fade counted as well: {found.all_modes.max_attacked}."
