@@ -8,8 +8,10 @@ Computed eigenvalues are exact for a matrix within eps ||A||. Three consequences
     * A Jordan block of size k scatters its eigenvalue over eps^(1/k), and an eigenvector of each scattered
       value would be taken for a mode of its own. The mean of the cluster is accurate to eps, and replaces it
       where A - mean I is singular.
-    * Eigenvalues closer than `tol` share one eigenspace. A larger space can only lower counts, which is safe.
-    * "Sensor i sees v" means ||C_i v|| > blind ||C_i|| ||v||, `blind` never below the accuracy of V.
+    * Eigenvalues closer than `tol` share one eigenspace; a larger space can only lower counts, which is safe.
+    * "Sensor i sees v" means ||C_i v|| > blind ||C_i|| ||v||, `blind` never below the accuracy of V, that is,
+      what a true eigenvector may have outside of V.
+Whether an eigenvalue reaches the cut is judged by the largest it may be in truth.
 All norms are taken in units of the states in which A and C are balanced.
 """
 
@@ -20,6 +22,7 @@ from dataclasses import dataclass
 from typing import Any, final
 
 import numpy as np
+import scipy.linalg
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
@@ -33,6 +36,10 @@ TOLERANCE = 1e-8
 RADII = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7)
 #: Distance that counts as none, in units of ||A||.
 ROUNDING = 1e-13
+#: Largest share of its size that an eigenvector may have outside of the space that stands for it as well.
+ALIKE = 1e-4
+#: No sensor is taken for blind that sees more than this share.
+DIM = 0.1
 #: Largest distance of a scattered eigenvector, of length 1, from the eigenspace that it stands for.
 SPAN = 0.05
 
@@ -114,20 +121,51 @@ def eigenspaces(A: Array, C: Array, cut: float, tol: float = TOLERANCE) -> tuple
     if not np.isfinite(size):  # beyond what numbers can tell
         return ()
     size = max(1.0, float(np.linalg.norm(A, 2)))
-    values, vectors = np.linalg.eig(A)
-    if np.abs(values).max() < cut - RADII[0] * size:
+    decomposed: tuple[Field, ...] = scipy.linalg.eig(A, left=True)
+    values, left, vectors = decomposed
+    doubt = _doubt(left, vectors, size)
+    if np.max(np.abs(values) + doubt) < cut:
         return ()
     skewness = float(np.linalg.cond(vectors))
-    distinct = [_upper(z, size) for z in _settle(A, values, vectors, skewness, tol * size, size)]
-    found: list[tuple[complex, Field, float]] = []
-    for value in sorted((z for z in distinct if z.imag >= 0), key=lambda z: (-abs(z), -z.real)):
-        if abs(value) >= cut and not _listed(A, value, found, tol * size):
-            found.append((value, *_kernel(A, value, values, vectors, skewness, tol * size, size)))
-    rounding = 100 * np.finfo(np.float64).eps * size
+    settled = list(_settle(A, values, vectors, doubt, skewness, tol * size, size))
+    found: list[_Found] = []
+    for value, reach in sorted(settled, key=lambda one: (-abs(one[0]), -one[0].real)):
+        if value.imag >= 0 and reach >= cut and not _listed(A, value, found, tol * size):
+            found.append(_kernel(A, value, values, vectors, skewness, tol * size, size))
     return tuple(
-        Eigenspace(value, scale[:, None] * V, scale, max(tol, rounding / max(gap, 1e-5)))
-        for value, V, gap in found
+        Eigenspace(one.value, scale[:, None] * one.V, scale, min(DIM, max(tol, one.error(size))))
+        for one in found
     )
+
+
+@dataclass
+class _Found:
+    """ker(A - value I) in balanced units.
+
+    Attributes:
+        V: orthonormal columns.
+        inside, gap: largest singular value of A - value I on V, smallest one outside of it.
+        left_out: sine of the largest angle to V of an eigenvector that V stands for as well.
+    """
+
+    value: complex
+    V: Field
+    inside: float
+    gap: float
+    left_out: float = 0.0
+
+    def error(self, size: float) -> float:
+        """How far a true eigenvector may lie outside of V."""
+        rounding = 100 * float(np.finfo(np.float64).eps) * size
+        return max(10 * self.left_out, (10 * self.inside + rounding) / self.gap)
+
+
+def _doubt(left: Field, vectors: Field, size: float) -> Array:
+    """How far rounding may have moved each eigenvalue: eps ||A|| times its condition number, and some."""
+    with np.errstate(divide="ignore"):
+        moved = 100 * np.finfo(np.float64).eps * size / np.abs(np.einsum("ij,ij->j", left.conj(), vectors))
+    doubt: Array = np.minimum(moved, RADII[0] * size)
+    return doubt
 
 
 def sight(space: Eigenspace, C: Array, channel_sensor: NDArray[np.integer], sensors: int) -> Sight:
@@ -199,26 +237,30 @@ def _or_nothing(sizes: Array, rows: Array) -> Array:
 
 
 def _settle(
-    A: Array, values: Field, vectors: Field, skewness: float, tol: float, size: float
-) -> Iterator[complex]:
-    """Replace clusters of eigenvalues that are one scattered eigenvalue by their mean."""
+    A: Array, values: Field, vectors: Field, doubt: Array, skewness: float, tol: float, size: float
+) -> Iterator[tuple[complex, float]]:
+    """Replace clusters of eigenvalues that are one scattered eigenvalue by their mean.
+
+    Yields:
+        Each eigenvalue, and the largest size that it may have in truth.
+    """
+    largest = np.abs(values) + doubt
     waiting = [(np.arange(len(values)), 0)]
     while waiting:
         members, level = waiting.pop()
         if len(members) == 1 or level == len(RADII):
-            yield from (complex(z) for z in values[members])
+            yield from ((_upper(complex(values[i]), size), float(largest[i])) for i in members)
             continue
         for group in _linked(values, members, RADII[level] * size):
             mean = _upper(complex(values[group].mean()), size, tol)
-            scatter = float(np.abs(values[group] - mean).max())
-            least = float(np.abs(values - mean).min()) / skewness  # of the singular values of A - mean I
-            limit = min(tol, 1e-3 * scatter + ROUNDING * size)
-            if (
-                len(group) == 1
-                or scatter <= ROUNDING * size
-                or (least <= limit and _is_one(A, mean, vectors[:, group], limit, tol))
-            ):
-                yield mean
+            apart = np.abs(values[group] - mean)
+            same = len(group) == 1 or bool(apart.max() <= ROUNDING * size)
+            if not same and np.all(apart <= doubt[group]):
+                limit = min(tol, 1e-3 * float(apart.max()) + ROUNDING * size)
+                least = float(np.abs(values - mean).min()) / skewness  # of the singular values of A - mean I
+                same = least <= limit and _is_one(A, mean, vectors[:, group], limit, tol)
+            if same:
+                yield mean, float(largest[group].max())
             else:
                 waiting.append((group, level + 1))
 
@@ -250,22 +292,22 @@ def _is_one(A: Array, value: complex, vectors: Field, limit: float, tol: float) 
     return bool(np.all(np.linalg.norm(vectors - V @ (V.conj().T @ vectors), axis=0) <= SPAN))
 
 
-def _listed(A: Array, value: complex, found: list[tuple[complex, Field, float]], tol: float) -> bool:
+def _listed(A: Array, value: complex, found: list[_Found], tol: float) -> bool:
     """Whether the eigenspace of a nearly equal eigenvalue, found before, contains this one's."""
-    for other, V, _ in found:
-        if abs(value - other) <= 2 * tol:
-            if abs(value - other) <= 0.01 * tol or V.shape[1] == len(A):
-                return True
-            mine = _null_space(A, value, tol)[0]
-            if np.linalg.norm(mine - V @ (V.conj().T @ mine)) < 1e-4:
+    for one in found:
+        if abs(value - one.value) <= 2 * tol:
+            mine = _null_space(A, value, tol).V
+            left_out = float(np.linalg.norm(mine - one.V @ (one.V.conj().T @ mine), 2))
+            if left_out < ALIKE or abs(value - one.value) <= 0.01 * tol:
+                one.left_out = max(one.left_out, left_out)
                 return True
     return False
 
 
 def _kernel(
     A: Array, value: complex, values: Field, vectors: Field, skewness: float, tol: float, size: float
-) -> tuple[Field, float]:
-    """ker(A - value I), orthonormal, and the smallest singular value outside of it.
+) -> _Found:
+    """ker(A - value I), orthonormal.
 
     The second smallest singular value of A - lambda I is at least the distance of lambda to the next
     eigenvalue over the condition number of the eigenvectors. Where that settles that there is one direction,
@@ -276,15 +318,16 @@ def _kernel(
     gap = float(np.min(np.delete(apart, own), initial=np.inf)) / skewness
     if apart[own] <= ROUNDING * size and gap > 10 * tol:
         v = vectors[:, [own]] if value.imag else vectors[:, [own]].real
-        return v / np.linalg.norm(v), gap
+        v = v / np.linalg.norm(v)
+        return _Found(value, v, float(np.linalg.norm(_shifted(A, value) @ v)), gap)
     return _null_space(A, value, tol)
 
 
-def _null_space(A: Array, value: complex, tol: float) -> tuple[Field, float]:
+def _null_space(A: Array, value: complex, tol: float) -> _Found:
     _, sizes, Vh = np.linalg.svd(_shifted(A, value))
     g = max(1, int(np.sum(sizes <= tol)))
     gap = float(sizes[-g - 1]) if g < len(A) else np.inf
-    return Vh[len(A) - g :].conj().T, gap
+    return _Found(value, Vh[len(A) - g :].conj().T, float(sizes[-g]), gap)
 
 
 def _shifted(A: Array, value: complex) -> Field:
