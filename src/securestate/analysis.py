@@ -152,8 +152,8 @@ def analyse(
     if attacked is not None:
         whole_number("attacked", attacked, 1, InputError)
     begin = time.monotonic()
-    found = relevant(plant, tol=tol, time_limit=0.3 * time_limit)
-    every = found if found.cut == 0 else limit(plant, 0.0, tol=tol, time_limit=0.2 * time_limit)
+    found = relevant(plant, tol=tol, time_limit=0.2 * time_limit)
+    every = found if found.cut == 0 else limit(plant, 0.0, tol=tol, time_limit=0.1 * time_limit)
     planned = attacked or max(1, found.max_attacked)
     goal = attacked or found.max_attacked + 1
     forms = tuple(
@@ -169,8 +169,8 @@ def analyse(
         limit=found,
         all_modes=every,
         undetectable=undetectable_modes(plant, SLOW),
-        eta=found.margin(2 * max(0, found.max_attacked)),
-        robust=found.robust(),
+        eta=found.margin(2 * max(0, found.max_attacked), time_limit=0.1 * time_limit),
+        robust=found.robust(time_limit=0.1 * time_limit),
         profile=_profile(plant, found, 0.1 * time_limit),
         view=visibility(found),
         forms=forms,

@@ -109,7 +109,7 @@ def _margin(
     if not penalties.V.shape[1] or who.count == 0:
         return FusionMargin(who.count, 0.0, 0.0, (), None)
     X = noise_scaled(plant)
-    free, costly = _by_cost(penalties)
+    free, costly = _by_cost(penalties, X @ penalties.V)
     share = _gratis(plant, X @ penalties.V @ free, free, who)
     if share is None:
         blocks = tuple(block @ costly for block in penalties.blocks)
@@ -123,7 +123,7 @@ def _margin(
 
 
 def _attacked(plant: Plant, attacked: int | Iterable[str]) -> Attacked:
-    if isinstance(attacked, int):
+    if isinstance(attacked, (int, np.integer)):
         count = whole_number("attacked", attacked, 0, InputError)
         return Attacked(~plant.protected, min(count, int((~plant.protected).sum())))
     names = (attacked,) if isinstance(attacked, str) else tuple(attacked)
@@ -133,11 +133,15 @@ def _attacked(plant: Plant, attacked: int | Iterable[str]) -> Attacked:
     return Attacked.exactly([plant.sensor_names.index(name) for name in names], plant.n_sensors)
 
 
-def _by_cost(penalties: Penalties) -> tuple[Array, Array]:
-    """Directions that cost no sensor anything, and the others, as columns."""
+def _by_cost(penalties: Penalties, seen: Array) -> tuple[Array, Array]:
+    """Directions that cost no sensor anything, and the others, as columns.
+
+    Args:
+        seen: what the channels see of V, (m, d), in standard deviations: the measure of what is nothing.
+    """
     d = penalties.V.shape[1]
     stacked = np.vstack([np.zeros((d, d)), *penalties.blocks])
-    lengths = np.linalg.norm(stacked, axis=0)
+    lengths = np.linalg.norm(seen, axis=0)
     units = np.where(lengths > 0, lengths, 1.0)
     _, shares, Wh = np.linalg.svd(stacked / units, full_matrices=False)
     costs = shares > UNSEEN * max(1.0, shares[0])

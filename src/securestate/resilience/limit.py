@@ -145,8 +145,12 @@ class Limit:
         free = int((~self.plant.protected).sum())
         return free if math.isinf(count) else min(free, max(-1, (int(count) - 1) // 2))
 
-    def margin(self, removed: int) -> tuple[float, float]:
+    def margin(self, removed: int, *, time_limit: float = 60.0) -> tuple[float, float]:
         """Bounds of eta: the least share of a motion that is left without the worst `removed` sensors.
+
+        Args:
+            removed: how many sensors are taken away.
+            time_limit: seconds after which the bounds are what they are.
 
         0: some motion is lost. eta^2 is the share of information that is left in the worst direction.
 
@@ -155,18 +159,26 @@ class Limit:
         """
         X, free, owner = noise_scaled(self.plant), ~self.plant.protected, self.plant.channel_sensor
         whole_number("removed", removed, 0, InputError)
+        if self.upper <= removed:
+            return 0.0, 0.0
+        each = time_limit / max(1, len(self.modes))
         with one_blas_thread():
-            sets = [worst_set(X @ mode.space.V, owner, free, removed) for mode in self.modes]
+            sets = [worst_set(X @ mode.space.V, owner, free, removed, each) for mode in self.modes]
         lower = min((found.lower for found in sets), default=1.0)
         upper = min((found.upper for found in sets), default=1.0)
-        return (0.0, 0.0) if self.upper <= removed else (lower, upper)
+        return lower, upper
 
-    def robust(self, share: float = ROBUST) -> int:
+    def robust(self, share: float = ROBUST, *, time_limit: float = 60.0) -> int:
         """Most liars p, up to the limit, for which `margin(2 p)` is certainly at least this share."""
-        for liars in range(1, self.max_attacked + 1):
-            if self.margin(2 * liars)[0] < share:
-                return liars - 1
-        return max(0, self.max_attacked)
+        deadline = time.monotonic() + time_limit
+        enough, too_many = 0, max(0, self.max_attacked) + 1
+        while too_many - enough > 1 and (left := deadline - time.monotonic()) > 0:
+            liars = (enough + too_many) // 2
+            if self.margin(2 * liars, time_limit=left / 4)[0] >= share:
+                enough = liars
+            else:
+                too_many = liars
+        return enough
 
     def ambiguity(self, attacked: int) -> tuple[Lie, Lie] | None:
         """Two lies of at most `attacked` sensors each that nobody can tell apart; None if there are none.
