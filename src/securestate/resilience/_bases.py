@@ -16,15 +16,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from securestate.resilience._exact_count import Best, branch_and_bound, restricted
+from securestate.resilience._exact_count import Best, branch_and_bound, doubtful, restricted
 from securestate.resilience.eigenspaces import Array, Field, Indices, Sight
 
 #: Smallest pivot of a row of length one that makes it independent of those before.
 PIVOT = 1e-7
 #: Largest ||B^-1|| of a basis that a bound may rest on.
 STEEPEST = 1e6
-#: Ratios this close, relatively, are taken for equal.
-EQUAL = 1e-7
+#: A bound rests on B only if ||B^-1|| sqrt(g) times the share that counts as blind is no larger: then every u
+#: is seen.
+CLEAR = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,9 +46,10 @@ class Basis:
     seen: Field
     sharp: bool
 
-    def supports(self, sight: Sight) -> NDArray[np.bool_]:
-        """(N, g): which sensors see which codeword."""
-        sees = np.abs(self.seen) > sight.blind * np.linalg.norm(self.codewords, axis=0)
+    def supports(self, sight: Sight, blind: float | None = None) -> NDArray[np.bool_]:
+        """(N, g): which sensors see which codeword; `blind` instead of the sight's own."""
+        share = sight.blind if blind is None else blind
+        sees = np.abs(self.seen) > share * np.linalg.norm(self.codewords, axis=0)
         supports = np.zeros((sight.sensors, sees.shape[1]), dtype=bool)
         np.logical_or.at(supports, sight.owner, sees)
         return supports
@@ -72,7 +74,8 @@ def basis_along(sight: Sight, order: Indices) -> Basis | None:
         if len(chosen) == g:
             owner = sight.owner[chosen]
             seen, codewords = reduced[: len(sight.rows), columns], reduced[len(sight.rows) :, columns]
-            sharp = float(np.linalg.norm(codewords)) <= STEEPEST
+            steep = float(np.linalg.norm(codewords))
+            sharp = steep <= STEEPEST and steep * np.sqrt(g) * sight.blind <= CLEAR
             return Basis(np.unique(owner), owner, codewords, seen, sharp)
     return None
 
@@ -95,11 +98,14 @@ def seen_by_one(sight: Sight, weights: Array, basis: Basis, best: Best, deadline
     supports = basis.supports(sight)
     lightest = int(np.argmin(weights @ supports))
     best.offer(sight, weights, basis.codewords[:, lightest])
+    certain = weights @ basis.supports(sight, doubtful(sight.blind))
+    best.certain = min(best.certain, float(certain.min()))
     counts = np.bincount(basis.owner, minlength=sight.sensors)
     for sensor in np.flatnonzero(counts > 1):
         span = np.linalg.qr(basis.codewords[:, basis.owner == sensor])[0]
         inside = Best(best.weight)
         branch_and_bound(restricted(sight, span), weights, inside, deadline)
+        best.certain = min(best.certain, inside.certain)
         if inside.direction is not None:
             best.offer(sight, weights, span @ inside.direction)
         if not inside.complete:
@@ -124,8 +130,10 @@ def seen_by_two(sight: Sight, weights: Array, basis: Basis, best: Best) -> None:
             continue
         ratio = basis.seen[both, b] / basis.seen[both, a]
         sizes = np.abs(ratio)
-        same = np.abs(ratio[:, None] - ratio) <= EQUAL * np.maximum(sizes[:, None], sizes)
+        same = np.abs(ratio[:, None] - ratio) <= doubtful(sight.blind) * np.maximum(sizes[:, None], sizes)
         hidden = same @ own[both]
         k = int(np.argmax(hidden))
-        if alone[a] + alone[b] - shared[a, b] - hidden[k] < best.weight:
+        weight = float(alone[a] + alone[b] - shared[a, b] - hidden[k])
+        best.certain = min(best.certain, weight)
+        if weight < best.weight:
             best.offer(sight, weights, basis.codewords[:, b] - ratio[k] * basis.codewords[:, a])

@@ -18,7 +18,7 @@ from typing import final
 import numpy as np
 
 from securestate.resilience._bases import PIVOT, Basis, basis_along, seen_by_one, seen_by_two
-from securestate.resilience._exact_count import Best, branch_and_bound, in_plane
+from securestate.resilience._exact_count import Best, branch_and_bound, search_plane
 from securestate.resilience._hitting_set import hitting_set
 from securestate.resilience.eigenspaces import Array, Field, Indices, Sight, kernel_of
 
@@ -82,8 +82,9 @@ def least_weight(
         return Count(0, 0, np.zeros(0, dtype=np.intp), hidden[:, 0], "rank")
     best = Best(math.inf)
     if g <= 2:
-        best.offer(counted, weights, in_plane(counted, weights) if g == 2 else np.ones(1))
-        return _counted(best.weight, best, "plane" if g == 2 else "counting")
+        u, least = search_plane(counted, weights) if g == 2 else (np.ones(1), math.inf)
+        best.offer(counted, weights, u)
+        return _counted(least, best, "plane" if g == 2 else "counting")
     return _Search(counted, weights, target, time_limit, collect).run()
 
 
@@ -101,13 +102,17 @@ class _Search:
         self.whole = bool(np.all(weights == np.round(weights)))
         self.several = bool(np.bincount(sight.owner, minlength=sight.sensors).max() > 1)
         self.best = Best(math.inf)
-        self.lower = 0.0
+        self.bound = 0.0
         self.bases: list[Basis] = []
         self.pool: list[Field] | None = [] if collect else None
 
     def run(self) -> Count:
         method = "bases"
         self._draw_bases()
+        if not self.bases:  # full rank by a hair only
+            u = np.linalg.svd(self.sight.rows)[2][-1].conj()
+            self.best.offer(self.sight, self.weights, u)
+            return _counted(0.0, self.best, "rank")
         if not self._done and not self.several:
             method = "pairs"
             self._pairs()
@@ -122,6 +127,11 @@ class _Search:
         return _counted(self.lower, self.best, method, tuple(self.pool or ()))
 
     @property
+    def lower(self) -> float:
+        """What is certain: of the directions that were looked at, and of all others."""
+        return min(self.best.weight, self.best.certain, self.bound)
+
+    @property
     def _done(self) -> bool:
         return self.lower >= min(self.best.weight, self.target)
 
@@ -130,8 +140,7 @@ class _Search:
 
     def _raise(self, bound: float) -> None:
         """Take a lower bound for directions that are not lighter than the best; whole weights are whole."""
-        bound = math.ceil(bound - 1e-9) if self.whole else bound
-        self.lower = max(self.lower, min(self.best.weight, bound))
+        self.bound = max(self.bound, math.ceil(bound - 1e-9) if self.whole and bound < math.inf else bound)
 
     def _draw_bases(self) -> None:
         """Draw bases of the rows that have stood in fewest; offer what one sensor of a basis sees."""
@@ -148,9 +157,9 @@ class _Search:
                 load[basis.sensors] += 1
                 drawn += 1
                 known += 1 + complete
-                before = self.lower
+                before = self.bound
                 self._raise(known / (load / self._per_weight).max())
-                stale = 0 if self.lower > before else stale + 1
+                stale = 0 if self.bound > before else stale + 1
             else:
                 stale += 1
             if self._done or time.monotonic() > self._until(0.4):
@@ -191,4 +200,5 @@ class _Search:
         if search.direction is not None:
             self.best.offer(self.sight, self.weights, search.direction)
         if search.complete:
-            self.lower = self.best.weight
+            self.best.certain = min(self.best.certain, search.certain)
+            self.bound = math.inf

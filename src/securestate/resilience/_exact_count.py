@@ -5,8 +5,9 @@ All functions answer: over all u != 0, what is the least weight of the sensors t
 
 from __future__ import annotations
 
+import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,12 +23,14 @@ class Best:
         sensors: who sees it; None as long as none lighter than the first `weight` was found.
         direction: u, (g,), unit length.
         complete: whether nothing lighter exists; False if time ran out.
+        certain: no direction that was looked at weighs less, whatever tolerance decides the doubtful cases.
     """
 
     weight: float
     sensors: Indices | None = None
     direction: Field | None = None
-    complete: bool = field(default=True)
+    complete: bool = True
+    certain: float = math.inf
 
     def offer(self, seen: Sight, weights: Array, u: Field) -> None:
         """Take u if its support is lighter."""
@@ -37,22 +40,29 @@ class Best:
             self.weight, self.sensors, self.direction = weight, sensors, u / np.linalg.norm(u)
 
 
-def in_plane(seen: Sight, weights: Array) -> Field:
-    """The direction of a plane that the least weight sees (exact).
+def doubtful(blind: float) -> float:
+    """Share below which it is doubtful whether a sensor sees a direction that was computed."""
+    return max(10 * blind, 1e-7)
+
+
+def search_plane(seen: Sight, weights: Array) -> tuple[Field, float]:
+    """The direction of a plane that the least weight sees, and what no direction is lighter than (exact).
 
     A sensor is blind to no direction, to one, or to all. The heaviest group of sensors that are blind to the
     same direction decides; if no sensor has a blind direction, any direction is as good.
     """
-    single = np.bincount(seen.owner, minlength=seen.sensors) == 1
-    rows, owner = seen.rows[single[seen.owner]], seen.owner[single[seen.owner]]
+    counts = np.bincount(seen.owner, minlength=seen.sensors)
+    total = float(weights[counts > 0].sum())
+    single = counts[seen.owner] == 1
+    rows, own = seen.rows[single], weights[seen.owner[single]]
     if not len(rows):
-        return np.array([1.0, 0.0], dtype=seen.rows.dtype)
+        return np.array([1.0, 0.0], dtype=seen.rows.dtype), total
     blind = np.stack([-rows[:, 1], rows[:, 0]], axis=1)  # row u = 0, without a conjugate
-    overlap = np.abs(blind.conj() @ blind.T)
-    apart = np.sqrt(np.maximum(1.0 - overlap**2, 0.0))
-    lost = (apart <= max(10 * seen.blind, 1e-7)) @ weights[owner]
+    missed = np.abs(rows @ blind.T)  # (row, direction); rows and directions have length one
+    lost = own @ (missed <= seen.blind)
+    lost_at_most = own @ (missed <= doubtful(seen.blind))
     u: Field = blind[int(np.argmax(lost))]
-    return u
+    return u, total - float(lost_at_most.max())
 
 
 def branch_and_bound(seen: Sight, weights: Array, best: Best, deadline: float) -> None:
@@ -76,8 +86,11 @@ def _branch(
         return
     inside = restricted(seen, basis)
     if basis.shape[1] <= 2:
-        u = in_plane(inside, weights) if basis.shape[1] == 2 else np.ones(1, dtype=basis.dtype)
+        u, least = np.ones(1, dtype=basis.dtype), float(weights[np.unique(inside.owner)].sum())
+        if basis.shape[1] == 2:
+            u, least = search_plane(inside, weights)
         best.offer(seen, weights, basis @ u)
+        best.certain = min(best.certain, least)
         return
     best.offer(seen, weights, basis @ _generic(basis.shape[1]))
     seeing = active[np.isin(active, inside.owner)]

@@ -41,9 +41,10 @@ def hitting_set(
         lower = max(lower, min(best.weight, bound))
         if chosen is None:
             break
-        new = _missed(sight, weights, used[chosen], best, rng)
-        if not new:
-            return float(best.weight)
+        picked = used[chosen]
+        new = _missed(sight, weights, picked, best, rng)
+        if not new:  # the chosen sensors are all that see the direction offered, or rounding decides
+            return float(best.weight) if best.weight <= weights[picked].sum() + 1e-9 else lower
         known += new
     return lower
 
@@ -57,7 +58,7 @@ def _round(bases: list[Indices], weights: Array, deadline: float) -> tuple[float
         constraints=LinearConstraint(meets, 1, np.inf),
         integrality=np.ones(len(weights), dtype=np.int64),
         bounds=Bounds(0, 1),
-        options={"time_limit": max(0.05, deadline - time.monotonic())},
+        options={"time_limit": max(0.05, deadline - time.monotonic()), "mip_rel_gap": 0.0},
     )
     bound = answer.mip_dual_bound
     return (
@@ -75,9 +76,12 @@ def _missed(
     for _ in range(BATCH):
         basis = basis_along(sight, np.argsort(10.0 * avoided + rng.random(len(avoided))))
         if basis is not None and not np.isin(basis.sensors, chosen).any():
-            new.append(basis.sensors)
+            if basis.sharp:
+                new.append(basis.sensors)
             continue
-        if not new:
-            best.offer(sight, weights, kernel_of(sight.rows[~avoided], PIVOT)[:, 0])
+        hidden = kernel_of(sight.rows[~avoided], PIVOT)
+        if hidden.shape[1]:
+            best.offer(sight, weights, hidden[:, 0])
+            return new
         break
     return new

@@ -74,9 +74,10 @@ def _greedy(sights: Sequence[Sight]) -> Indices:
     chosen: list[int] = []
     while True:
         left = [_rank_left(sight, np.array(chosen, dtype=np.intp)) for sight in sights]
-        if not sum(missing for missing, _ in left):
+        gains = np.sum([gain for _, gain in left], axis=0)
+        if not sum(missing for missing, _ in left) or not gains.any():  # full rank, or all but by rounding
             break
-        chosen.append(int(np.argmax(sum(gain for _, gain in left))))
+        chosen.append(int(np.argmax(gains)))
     for sensor in list(chosen):
         rest = np.array([i for i in chosen if i != sensor], dtype=np.intp)
         if not any(_rank_left(sight, rest)[0] for sight in sights):

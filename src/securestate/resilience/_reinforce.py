@@ -22,9 +22,6 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 from securestate.resilience._count import least_weight
 from securestate.resilience.eigenspaces import Array, Indices, Sight
 
-#: Copies of one sensor that are proposed at most.
-COPIES = 4
-
 
 @final
 @dataclass(frozen=True, eq=False)

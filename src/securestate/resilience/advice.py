@@ -14,7 +14,7 @@ from securestate._threads import one_blas_thread
 from securestate.errors import InputError
 from securestate.plant import Plant, Sensor
 from securestate.resilience._protect import smallest_cover
-from securestate.resilience._reinforce import COPIES, fewest_changes
+from securestate.resilience._reinforce import fewest_changes
 from securestate.resilience.eigenspaces import Array, Indices, Sight, sight
 from securestate.resilience.limit import Limit, exposed
 from securestate.resilience.margin import noise_scaled
@@ -23,7 +23,6 @@ Kind = Literal["copy", "measure", "protect", "add"]
 
 #: What an engineer does, by kind.
 _VERBS = {"copy": "duplicate", "measure": "measure", "protect": "protect", "add": "add"}
-_TIMES = {2: "twice", 3: "three times", 4: "four times"}
 
 
 @final
@@ -55,7 +54,7 @@ class Option:
 
     def told(self, most: int) -> str:
         """What to do, with at most so many names."""
-        named = [name if times == 1 else f"{name} {_TIMES[times]}" for name, times in self.items]
+        named = [name if times == 1 else f"{name} {_often(times)}" for name, times in self.items]
         left = len(named) - most
         return f"{_VERBS[self.kind]} {_listed(named if left <= 0 else [*named[:most], f'{left} more'])}"
 
@@ -116,7 +115,7 @@ def _option(found: Limit, kind: Kind, attacked: int, time_limit: float) -> Optio
         X, owner = np.vstack([X, np.eye(n)]), np.concatenate([owner, np.arange(N, N + n)])
         states = np.ones(n, dtype=bool)
     weights = np.concatenate([free, 0 * states]).astype(np.float64)
-    most = np.concatenate([free & (kind != "measure"), states]) * (1.0 if kind == "protect" else COPIES)
+    most = np.concatenate([free & (kind != "measure"), states]) * (1.0 if kind == "protect" else goal)
     gain = np.minimum(most, 1.0) * (goal if kind == "protect" else 1.0)
     change = fewest_changes(
         _open_sights(found, X, owner, len(weights)), weights, gain, most, goal, time_limit
@@ -183,6 +182,10 @@ def _distinct(sensors: Iterable[Sensor], taken: Iterable[str]) -> list[Sensor]:
         names.add(name)
         renamed.append(sensor if name == sensor.name else sensor.replaced(name=name))
     return renamed
+
+
+def _often(times: int) -> str:
+    return "twice" if times == 2 else f"{times} times"
 
 
 def _listed(names: list[str]) -> str:

@@ -17,6 +17,9 @@ from securestate.errors import InputError
 from securestate.plant import Plant
 from securestate.resilience.eigenspaces import Array, Field
 
+#: A lie along a mode at least this large ends at its direction; others begin there.
+LASTING = 0.9
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -26,7 +29,8 @@ class Lie:
     Attributes:
         plant: whose sensors they are.
         sensors: names of those that lie.
-        d: (n,), the direction at the last sample; all sensors together see one standard deviation of it.
+        d: (n,), the direction at the last sample, or at the first if it fades by more than 10 % per sample;
+            all sensors together see one standard deviation of it.
         V, J: d moves in the span of V, (n, g), with A V = V J.
     """
 
@@ -37,7 +41,7 @@ class Lie:
     J: Array
 
     def shift(self, samples: int, size: float = 1.0) -> Array:
-        """d[k], (samples, n), with d = size * `d` at the last sample.
+        """d[k], (samples, n), with d = size * `d` at the last or the first sample.
 
         Raises:
             InputError: samples is not a whole number >= 1, or size no finite number.
@@ -45,12 +49,12 @@ class Lie:
         whole_number("samples", samples, 1, InputError)
         if np.ndim(real_array("size", size, InputError)):
             raise InputError("size", "one number", repr(size))
-        back = np.linalg.inv(self.J)
-        part = size * np.linalg.lstsq(self.V, self.d, rcond=None)[0]
-        parts = [part]
+        lasting = bool(np.abs(np.linalg.eigvals(self.J)).min() >= LASTING)
+        step = np.linalg.inv(self.J) if lasting else self.J
+        parts = [size * np.linalg.lstsq(self.V, self.d, rcond=None)[0]]
         for _ in range(samples - 1):
-            parts.append(back @ parts[-1])
-        moved: Array = np.array(parts[::-1]) @ self.V.T
+            parts.append(step @ parts[-1])
+        moved: Array = np.array(parts[::-1] if lasting else parts) @ self.V.T
         return moved
 
     def readings(self, samples: int, size: float = 1.0) -> Array:
