@@ -119,9 +119,9 @@ class _Search:
         if not self._done and self.sight.dimension <= SMALL:
             method = "branch and bound"
             self._branch()
-        if not self._done:
+        sensors = [basis.sensors for basis in self.bases if basis.sharp]
+        if not self._done and sensors:
             method = "hitting set"
-            sensors = [basis.sensors for basis in self.bases if basis.sharp]
             until = self._until(1.0)
             self._raise(hitting_set(self.sight, self.weights, sensors, self.best, self.lower, until))
         return _counted(self.lower, self.best, method, tuple(self.pool or ()))

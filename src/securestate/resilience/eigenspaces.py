@@ -129,9 +129,11 @@ def eigenspaces(A: Array, C: Array, cut: float, tol: float = TOLERANCE) -> tuple
     skewness = float(np.linalg.cond(vectors))
     settled = list(_settle(A, values, vectors, doubt, skewness, tol * size, size))
     found: list[_Found] = []
-    for value, reach in sorted(settled, key=lambda one: (-abs(one[0]), -one[0].real)):
+    for value, reach, moved in sorted(settled, key=lambda one: (-abs(one[0]), -one[0].real)):
         if value.imag >= 0 and reach >= cut and not _listed(A, value, found, tol * size):
-            found.append(_kernel(A, value, values, vectors, skewness, tol * size, size))
+            space = _kernel(A, value, values, vectors, skewness, tol * size, size)
+            space.moved = moved
+            found.append(space)
     return tuple(
         Eigenspace(one.value, scale[:, None] * one.V, scale, min(DIM, max(tol, one.error(size))))
         for one in found
@@ -146,6 +148,7 @@ class _Found:
         V: orthonormal columns.
         inside, gap: largest singular value of A - value I on V, smallest one outside of it.
         left_out: sine of the largest angle to V of an eigenvector that V stands for as well.
+        moved: how far rounding may have moved the eigenvalue.
     """
 
     value: complex
@@ -153,11 +156,12 @@ class _Found:
     inside: float
     gap: float
     left_out: float = 0.0
+    moved: float = 0.0
 
     def error(self, size: float) -> float:
         """How far a true eigenvector may lie outside of V."""
         rounding = 100 * float(np.finfo(np.float64).eps) * size
-        return max(10 * self.left_out, (10 * self.inside + rounding) / self.gap)
+        return max(10 * self.left_out, (max(10 * self.inside, self.moved) + rounding) / self.gap)
 
 
 def _doubt(left: Field, vectors: Field, size: float) -> Array:
@@ -238,18 +242,21 @@ def _or_nothing(sizes: Array, rows: Array) -> Array:
 
 def _settle(
     A: Array, values: Field, vectors: Field, doubt: Array, skewness: float, tol: float, size: float
-) -> Iterator[tuple[complex, float]]:
+) -> Iterator[tuple[complex, float, float]]:
     """Replace clusters of eigenvalues that are one scattered eigenvalue by their mean.
 
     Yields:
-        Each eigenvalue, and the largest size that it may have in truth.
+        Each eigenvalue, the largest size that it may have in truth, and how far rounding may have moved it; a
+        mean hardly moves.
     """
     largest = np.abs(values) + doubt
     waiting = [(np.arange(len(values)), 0)]
     while waiting:
         members, level = waiting.pop()
         if len(members) == 1 or level == len(RADII):
-            yield from ((_upper(complex(values[i]), size), float(largest[i])) for i in members)
+            yield from (
+                (_upper(complex(values[i]), size), float(largest[i]), float(doubt[i])) for i in members
+            )
             continue
         for group in _linked(values, members, RADII[level] * size):
             mean = _upper(complex(values[group].mean()), size, tol)
@@ -260,7 +267,7 @@ def _settle(
                 least = float(np.abs(values - mean).min()) / skewness  # of the singular values of A - mean I
                 same = least <= limit and _is_one(A, mean, vectors[:, group], limit, tol)
             if same:
-                yield mean, float(largest[group].max())
+                yield mean, float(largest[group].max()), float(doubt[group].max()) if len(group) == 1 else 0.0
             else:
                 waiting.append((group, level + 1))
 
