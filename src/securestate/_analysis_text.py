@@ -89,7 +89,9 @@ def weakest(mode: ModeLimit) -> str:
     half = (number + 1) // 2
     lost = (
         f"when {half} of them lie together, nobody can tell who does"
-        if number > 1
+        if number > 2
+        else "when one of them lies, nobody can tell which"
+        if number == 2
         else "when it lies, nobody can tell"
     )
     return f"Weakest: {mode.mode}, seen by {count(number, 'sensor')}, {names(mode.sensors)}{bound}: {lost}."
@@ -122,8 +124,7 @@ def _estimators(found: Resilience) -> Iterator[str]:
         yield f"Joint fusion: the protected sensors do not see {hidden}, and the others can lie along them."
     else:
         yield "Joint fusion: the protected sensors see every mode that lasts, so its error stays bounded."
-    if found.method:
-        yield f"Use {found.method}: {found.why}."
+    yield f"Use {found.method}: {found.why}." if found.method else f"Use none of them yet: {found.why}."
 
 
 def form_margin(form: FormMargin) -> str:

@@ -28,6 +28,8 @@ from securestate.resilience.visibility import Visibility, visibility
 PROFILED = 20_000
 #: n m up to which the paper form of sparse fusion is looked at.
 JORDAN = 1000
+#: n m above which sparse fusion is not designed if every mode has a prior and nothing depends on it.
+LARGE = 1500
 
 
 @final
@@ -37,7 +39,8 @@ class FormMargin:
 
     Attributes:
         form: of sparse fusion.
-        margins: for one liar, and for as many as were asked about.
+        margins: for one liar, two and so on up to the first number that is not secure, or that was asked
+            about.
         refusal: why the form cannot be designed for this plant; empty if it can.
     """
 
@@ -151,6 +154,8 @@ def analyse(
         raise InputError("plant", "a Plant; Plant.load reads a file", type(plant).__name__)
     if attacked is not None:
         whole_number("attacked", attacked, 1, InputError)
+        if attacked > max(1, free := int((~plant.protected).sum())):
+            raise InputError("attacked", f"at most the {free} sensors that are not protected", str(attacked))
     begin = time.monotonic()
     found = relevant(plant, tol=tol, time_limit=0.2 * time_limit)
     every = found if found.cut == 0 else limit(plant, 0.0, tol=tol, time_limit=0.1 * time_limit)
@@ -163,6 +168,7 @@ def analyse(
     guards = np.flatnonzero(plant.protected).tolist()
     hidden = undetectable_modes(plant.select(guards), SLOW) if guards else modes(plant, SLOW)
     method, why = _recommended(plant, found, forms, hidden)
+    ways = options(found, goal, 0.3 * time_limit)
     return Resilience(
         plant=plant,
         attacked=planned,
@@ -175,8 +181,8 @@ def analyse(
         view=visibility(found),
         forms=forms,
         unprotected=hidden,
-        protection=smallest_protection(found, 0.1 * time_limit),
-        options=options(found, goal, 0.3 * time_limit),
+        protection=_protection(found, ways, 0.1 * time_limit),
+        options=ways,
         goal=goal,
         method=method,
         why=why,
@@ -189,17 +195,32 @@ def _form(
 ) -> FormMargin:
     if form == "paper" and plant.n * plant.m > JORDAN:
         return FormMargin(form, (), f"with n m above {JORDAN} its Jordan basis is beyond double precision")
-    counts = sorted({1, attacked})
     try:
-        if form == "robust" and not lasting:
+        if form == "robust" and not lasting and plant.n * plant.m > LARGE:  # bounded whoever lies
             SparseFusion.require(plant)
-            return FormMargin(form, tuple(FusionMargin(p, 0.0, 0.0, (), None) for p in counts))
+            return FormMargin(form, (FusionMargin(attacked, 0.0, 0.0, (), None),))
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", InsecureWarning)  # that is what the margins say
             design = SparseFusion(plant) if form == "robust" else SparseFusion(plant, form="paper", gamma=1.0)
     except DesignError as refusal:
         return FormMargin(form, (), refusal.reason)
-    return FormMargin(form, tuple(design.margin(p, time_limit=time_limit / len(counts)) for p in counts))
+    margins: list[FusionMargin] = []
+    while len(margins) < attacked and (not margins or margins[-1].verdict == "secure"):
+        margins.append(design.margin(len(margins) + 1, time_limit=time_limit / attacked))
+    unmoved = all(margin.lie is None for margin in margins)
+    return FormMargin(form, tuple(margins[-1:] if unmoved else margins))
+
+
+def _protection(
+    found: Limit, ways: tuple[Option, ...], time_limit: float
+) -> tuple[tuple[str, ...], bool] | None:
+    """The smallest protection; of several the one that the options name as well."""
+    smallest = smallest_protection(found, time_limit)
+    way = next((way for way in ways if way.kind == "protect"), None)
+    if way is None or smallest is None or way.total != len(smallest[0]):
+        return smallest
+    enough = limit(way.plant, found.cut, tol=found.tol, time_limit=time_limit).unlimited
+    return (tuple(name for name, _ in way.items), smallest[1]) if enough else smallest
 
 
 def _profile(plant: Plant, found: Limit, time_limit: float) -> tuple[tuple[float, int, int], ...]:
@@ -215,6 +236,11 @@ def _recommended(
     """The method to use and why; an empty name if none can work."""
     if found.upper == 0:
         return "", "no estimator can follow a mode that no sensor sees"
+    if found.max_attacked_upper == 0:
+        return "", (
+            "no method can tell who lies where fewer than three sensors see a mode: change the installation "
+            "first; until then the Kalman filter trusts them all"
+        )
     if plant.protected.any() and not hidden:
         return "adaptive-joint", (
             "the protected sensors see every mode that lasts, so that whatever the others send cannot move "

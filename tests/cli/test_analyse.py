@@ -67,8 +67,9 @@ def test_what_is_survived_ends_with_0(folder: Path, command: Command) -> None:
     ss.Plant([[1]], [[1]], [ss.Sensor(n, C=[1], R=1) for n in "abc"]).save(folder / "three.toml")
     assert command("analyse", "three.toml", "--attacked", "1").code == 0
     assert command("analyse", "three.toml", "--attacked", "2").code == 4
-    # more than there are sensors that may lie
-    assert command("analyse", "plant.toml", "--attacked", "9").code == 0
+    more = command("analyse", "plant.toml", "--attacked", "9")
+    assert more.code == 2
+    assert "at most the 3 sensors that are not protected, received 9" in more.err
 
 
 def test_a_mode_that_nobody_sees_ends_with_4(folder: Path, command: Command) -> None:

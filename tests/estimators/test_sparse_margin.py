@@ -185,3 +185,18 @@ def test_what_is_not_a_number_or_names_of_sensors_is_refused() -> None:
         estimator.margin(["sensor 9"])
     with pytest.raises(InputError, match=r"attacked: expected a whole number >= 0, received -1"):
         estimator.margin(-1)
+
+
+def test_a_mode_that_one_sensor_sees_has_no_margin_in_any_coordinates() -> None:
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        T = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        rows = np.column_stack([rng.choice([-2.0, -1.0, 1.0, 2.0], (5, 2)), np.zeros(5)])
+        rows[0, 2] = 1.0  # only the first sensor sees the third mode
+        sensors = [
+            Sensor(f"s{i}", C=row @ T.T, R=float(10 ** rng.uniform(-1, 1))) for i, row in enumerate(rows)
+        ]
+        with pytest.warns(InsecureWarning, match="s0"):
+            estimator = SparseFusion(Plant(T @ np.diag([1.0, 1.02, 1.0]) @ T.T, 0.1 * np.eye(3), sensors))
+        assert estimator.margin(1).verdict == "insecure"
+        assert estimator.margin(np.int64(1)).sensors == ("s0",)

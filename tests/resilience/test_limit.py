@@ -306,3 +306,38 @@ def test_bad_arguments_are_refused_with_what_was_expected() -> None:
         limit(plant).margin(-1)
     with pytest.raises(DesignError, match="overflow"):
         limit(Plant([[1e200]], [[1.0]], [Sensor("a", C=[1.0], R=1.0)]))
+
+
+@pytest.mark.parametrize(
+    "poles",
+    [
+        [1.0, 0.995, 0.985, 0.98],
+        [1.0, 0.99, 0.98, 0.95],
+        [1.003, 0.995, 0.985, 0.97],
+        [1.0, 0.998, 0.996, 0.994, 0.992],
+        [1.0, 0.98, 0.96, 0.95, 0.93, 0.92],
+    ],
+)
+def test_a_lasting_mode_beside_slow_ones_is_never_lost(poles: list[float]) -> None:
+    n = len(poles)
+    A = np.diag(np.ones(n - 1), -1)  # a companion matrix: its eigenvectors are nearly parallel
+    A[0] = -np.poly(poles)[1:]
+    sensors = [Sensor("newest", C=np.eye(n)[0], R=1.0), Sensor("oldest", C=np.eye(n)[-1], R=1.0)]
+    found = limit(Plant(A, np.eye(n), sensors))
+    assert (found.lower, found.upper, found.max_attacked) == (2, 2, 0)
+
+
+def test_what_tolerance_decides_is_never_claimed() -> None:
+    rng = np.random.default_rng(21)
+    for _ in range(60):
+        g = int(rng.integers(2, 5))
+        u = rng.standard_normal(g)
+        u /= np.linalg.norm(u)
+        C = rng.standard_normal((10, g))
+        C[:5] -= np.outer(C[:5] @ u, u)  # five sensors are blind to u, but for errors of the model
+        C += 3e-4 * rng.standard_normal(C.shape)
+        found = limit(
+            Plant(np.eye(g), np.eye(g), [Sensor(f"s{i}", C=c, R=1.0) for i, c in enumerate(C)]), tol=1e-3
+        )
+        shares = np.abs(C @ u) / np.linalg.norm(C, axis=1)
+        assert found.lower <= np.sum(shares > 1e-3)

@@ -23,6 +23,8 @@ Complex = NDArray[np.complex128]
 CUT = 1 - 1e-9  # a mode of at least this size does not fade
 RANK = 1e-8  # singular value, relative to the largest, that counts as zero
 SHARE = 0.5  # a state is named if its part in a direction is at least this much of the largest
+SLIGHT = 0.02  # the same where several directions have to be told apart ...
+MANY = 6  # ... and how many are named then
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,10 +162,17 @@ def _hidden(A: Array, C: Array, cut: float, names: tuple[str, ...]) -> tuple[Mod
     return tuple(sorted(found, key=lambda mode: (-abs(mode.eigenvalue), -mode.eigenvalue.real)))
 
 
-def mode_along(value: complex, direction: Complex, names: tuple[str, ...]) -> Mode:
-    """Return the mode with this eigenvalue and direction, of any length, and the states it moves most."""
+def mode_along(
+    value: complex, direction: Complex, names: tuple[str, ...], *, among_others: bool = False
+) -> Mode:
+    """Return the mode with this eigenvalue and direction, of any length, and the states it moves most.
+
+    Args:
+        among_others: the eigenvalue has other directions too, so that small parts tell them apart.
+    """
     unit = _normal(direction)
-    return Mode(value, _largest(unit, names), unit)
+    named = _largest(unit, names, SLIGHT)[:MANY] if among_others else _largest(unit, names, SHARE)
+    return Mode(value, named, unit)
 
 
 def readable(directions: Complex) -> list[Complex]:
@@ -187,10 +196,10 @@ def _normal(direction: Complex) -> Complex:
     return unit
 
 
-def _largest(direction: Complex, names: tuple[str, ...]) -> tuple[str, ...]:
+def _largest(direction: Complex, names: tuple[str, ...], least: float) -> tuple[str, ...]:
     share = np.abs(direction)
     order = np.argsort(-share, kind="stable")
-    return tuple(names[i] for i in order if share[i] >= SHARE * share.max())
+    return tuple(names[i] for i in order if share[i] >= least * share.max())
 
 
 def _range(Q: Array) -> Array:

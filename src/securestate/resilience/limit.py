@@ -295,7 +295,9 @@ def _mode_limit(plant: Plant, X: Array, space: Eigenspace, time_limit: float, ta
         space,
         count.lower,
         count.upper,
-        mode_along(space.value, v.astype(np.complex128), plant.state_names),
+        mode_along(
+            space.value, v.astype(np.complex128), plant.state_names, among_others=space.multiplicity > 1
+        ),
         tuple(plant.sensor_names[i] for i in count.sensors),
         count.method,
         alone,

@@ -69,7 +69,7 @@ def _directions(mode: ModeLimit, names: tuple[str, ...]) -> list[Mode]:
     V = mode.space.V.T.astype(np.complex128)
     for v in readable(V):
         if not any(abs(np.vdot(other.direction, v)) >= ALIKE for other in found):
-            found.append(mode_along(mode.eigenvalue, v, names))
+            found.append(mode_along(mode.eigenvalue, v, names, among_others=mode.multiplicity > 1))
     return found
 
 
