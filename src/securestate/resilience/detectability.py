@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from securestate import _checks as check
 from securestate.errors import DesignError, InputError
 from securestate.plant import Plant
-from securestate.resilience.eigenspaces import balanced_units, eigenspaces, kernel_of, or_one, sight
+from securestate.resilience._units import balanced_units, or_one
+from securestate.resilience.eigenspaces import eigenspaces, kernel_of, sight
 
 Array = NDArray[np.float64]
 Complex = NDArray[np.complex128]
