@@ -9,6 +9,8 @@ ARGS ?=
 
 export PYTHON
 export PYO3_PYTHON := $(CURDIR)/$(PY)
+# cargo would look for make's job server in vain.
+unexport MAKEFLAGS
 # Without bytecode each of the many processes that the tests start compiles every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
