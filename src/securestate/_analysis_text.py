@@ -8,13 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from securestate._words import NAMED, count
 from securestate.resilience.limit import ROBUST, Limit, ModeLimit
 
 if TYPE_CHECKING:
     from securestate.analysis import FormMargin, Resilience
 
-#: Names that are written out; of longer lists the first ones are.
-NAMED = 8
 WIDTH = 110
 #: A margin that noise hides.
 FAINT = 0.01
@@ -150,11 +149,6 @@ def names(chosen: Sequence[str]) -> str:
     if len(chosen) <= NAMED:
         return ", ".join(chosen)
     return f"{', '.join(chosen[:NAMED])} and {len(chosen) - NAMED} more"
-
-
-def count(number: float, noun: str) -> str:
-    """A number with its noun."""
-    return f"{number:.0f} {noun}{'' if number == 1 else 's'}"
 
 
 def _wrapped(lines: Sequence[str]) -> Iterator[str]:

@@ -416,3 +416,7 @@ def test_one_sensor_alone_is_checked_by_the_prior_or_refused() -> None:
     unstable = Plant([[1.2]], [[1.0]], [Sensor("only", C=[[1.0]], R=1.0)])
     with pytest.raises(DesignError, match=r"would not even show.*use KalmanFilter"):
         SparseFusion(unstable)
+    protected = unstable.with_protected([0])
+    run = SparseFusion(protected).run([[0.1], [50.0], [0.2]])
+    np.testing.assert_allclose(run.x, KalmanFilter(unstable).run([[0.1], [50.0], [0.2]]).x, atol=1e-12)
+    assert not run.suspected.any()

@@ -14,6 +14,7 @@ import pytest
 import threadpoolctl
 
 import securestate as ss
+from securestate._threads import one_blas_thread
 from securestate.attacks import Bias, Drawn
 from securestate.attacks.base import SensorAttack
 from securestate.simulation import PlantFamily, Recipe, Scenario, _campaign, _work, campaign, compare
@@ -332,7 +333,7 @@ def test_blas_has_one_thread_until_the_last_task_ends_and_then_as_many_as_before
     with threadpoolctl.threadpool_limits(2, user_api="blas"):
         before = blas_threads()
         assert 2 in before.values()
-        first, second = _work.one_thread, _work.one_thread
+        first, second = one_blas_thread(), one_blas_thread()
         with first:
             with second:
                 assert set(blas_threads().values()) == {1}

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from securestate._results import check_folder, check_result_path
+from securestate._words import enumerate_names
 from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design, refuse_foreign
@@ -19,7 +20,6 @@ from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Plant
 from securestate.reporting import summarise, write_report
 from securestate.reporting.beside import compare_runs
-from securestate.reporting.summary import enumerate_names
 
 BLOCK = 1000  # samples between two looks at the progress bar and at Ctrl-C
 

@@ -10,10 +10,10 @@ from pathlib import Path
 from string import Template
 from typing import TYPE_CHECKING
 
+from securestate._words import count, enumerate_names
 from securestate.reporting import comparison_figures, comparison_tables
-from securestate.reporting.page import asset, compact, count, definitions, paragraphs, write_page
+from securestate.reporting.page import asset, compact, definitions, paragraphs, write_page
 from securestate.reporting.standing import Standing
-from securestate.reporting.summary import enumerate_names
 
 if TYPE_CHECKING:
     from securestate.simulation import Comparison

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from securestate.reporting.page import compact, count, percent, table
+from securestate._words import count
+from securestate.reporting.page import compact, percent, table
 from securestate.reporting.standing import FAR, NEAR, Standing, frame_of
 from securestate.simulation.comparison import MEANING
 

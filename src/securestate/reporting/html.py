@@ -15,13 +15,14 @@ from typing import TYPE_CHECKING
 
 from plotly.offline import get_plotlyjs
 
+from securestate._words import enumerate_names
 from securestate.reporting import tables
 from securestate.reporting.beside import compare_runs, section
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
 from securestate.reporting.page import asset, paragraphs, write_page
 from securestate.reporting.payload import pack_bytes
-from securestate.reporting.summary import Summary, enumerate_names, summarise
+from securestate.reporting.summary import Summary, summarise
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run

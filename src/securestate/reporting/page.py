@@ -46,16 +46,6 @@ def table(head: Sequence[str], rows: Iterable[str]) -> str:
     return f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
 
 
-def count(number: int, noun: str) -> str:
-    """A number with its noun.
-
-    Examples:
-        >>> count(1, "state"), count(2, "state")
-        ('1 state', '2 states')
-    """
-    return f"{number:,} {noun}" if number == 1 else f"{number:,} {noun}s"
-
-
 def percent(share: float) -> str:
     """A share in per cent, as HTML.
 

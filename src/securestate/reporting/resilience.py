@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from securestate._analysis_text import headline, names, remarks
+from securestate._words import count
 from securestate.reporting import resilience_tables as tables
 from securestate.reporting.comparison_tables import scroll
-from securestate.reporting.page import asset, count, paragraphs, write_page
+from securestate.reporting.page import asset, paragraphs, write_page
 from securestate.reporting.resilience_figures import (
     Marks,
     Part,

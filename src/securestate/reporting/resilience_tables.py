@@ -9,8 +9,9 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from securestate._analysis_text import form_margin, interval, names
+from securestate._words import count
 from securestate.reporting.comparison_tables import scroll
-from securestate.reporting.page import count, definitions, table
+from securestate.reporting.page import definitions, table
 from securestate.resilience import FusionMargin, Limit, Option
 
 if TYPE_CHECKING:

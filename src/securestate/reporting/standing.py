@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from securestate.reporting.page import compact, count
-from securestate.reporting.summary import enumerate_names
+from securestate._words import count, enumerate_names
+from securestate.reporting.page import compact
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from securestate._words import enumerate_names
 from securestate.errors import InputError
 from securestate.estimators.base import Status
 
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 
 WINDOW = 20
 """A sensor lies if half of some WINDOW samples it sent in a row were suspected; fewer are isolated alarms."""
-
-NAMED = 8
-"""At most so many liars are named in the verdict; the others are counted."""
 
 
 BY_PROTECTED = ("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman", "JointFusion", "ProtectedKalman")
@@ -122,21 +120,6 @@ class Summary:
         if self.estimator == "KalmanFilter":
             return "KalmanFilter trusts every sensor: it does not look for liars."
         return "No sensor is suspected."
-
-
-def enumerate_names(names: tuple[str, ...]) -> str:
-    """Join names as a sentence does.
-
-    Examples:
-        >>> enumerate_names(("a", "b", "c"))
-        'a, b and c'
-        >>> enumerate_names(tuple("abcdefghij"))
-        'a, b, c, d, e, f, g, h and 2 more'
-    """
-    shown = list(names[:NAMED])
-    if len(names) > NAMED:
-        shown.append(f"{len(names) - NAMED} more")
-    return shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} and {shown[-1]}"
 
 
 def summarise(run: Run) -> Summary:

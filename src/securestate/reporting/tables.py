@@ -9,9 +9,10 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import TYPE_CHECKING
 
+from securestate._words import count
 from securestate.reporting.blocks import channel_noise
 from securestate.reporting.clock import Clock
-from securestate.reporting.page import count, definitions, percent, table
+from securestate.reporting.page import definitions, percent, table
 from securestate.reporting.summary import Moment, SensorSummary, Summary
 
 if TYPE_CHECKING:

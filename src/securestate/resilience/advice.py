@@ -11,6 +11,7 @@ import numpy as np
 
 from securestate._checks import whole_number
 from securestate._threads import one_blas_thread
+from securestate._words import enumerate_names
 from securestate.errors import InputError
 from securestate.plant import Plant, Sensor
 from securestate.resilience._protect import smallest_cover
@@ -55,8 +56,7 @@ class Option:
     def told(self, most: int) -> str:
         """What to do, with at most so many names."""
         named = [name if times == 1 else f"{name} {_often(times)}" for name, times in self.items]
-        left = len(named) - most
-        return f"{_VERBS[self.kind]} {_listed(named if left <= 0 else [*named[:most], f'{left} more'])}"
+        return f"{_VERBS[self.kind]} {enumerate_names(named, most)}"
 
 
 def options(found: Limit, attacked: int, time_limit: float = 60.0) -> tuple[Option, ...]:
@@ -186,7 +186,3 @@ def _distinct(sensors: Iterable[Sensor], taken: Iterable[str]) -> list[Sensor]:
 
 def _often(times: int) -> str:
     return "twice" if times == 2 else f"{times} times"
-
-
-def _listed(names: list[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -10,8 +10,7 @@ from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, replace
 from typing import Generic, TypeVar
 
-from threadpoolctl import threadpool_limits
-
+from securestate._threads import one_blas_thread
 from securestate.errors import DesignError, InputError, SecurestateError, SecurestateWarning
 from securestate.estimators import Estimator, OracleFilter
 from securestate.plant import Plant
@@ -32,29 +31,6 @@ SLICE = 0.5
 TIMINGS = 3
 #: Designs and simulators kept per process.
 KEPT = 512
-
-
-class _OneThread:
-    """While anyone is inside, BLAS has one thread in this process: more could change the last bits."""
-
-    def __init__(self) -> None:
-        self._lock, self._inside = threading.Lock(), 0
-        self._limit: threadpool_limits | None = None
-
-    def __enter__(self) -> None:
-        with self._lock:
-            self._limit = self._limit or threadpool_limits(limits=1, user_api="blas")
-            self._inside += 1
-
-    def __exit__(self, *_: object) -> None:
-        with self._lock:
-            self._inside -= 1
-            if self._limit and not self._inside:
-                self._limit.restore_original_limits()
-                self._limit = None
-
-
-one_thread = _OneThread()
 
 
 @dataclass(frozen=True)
@@ -101,7 +77,7 @@ def work(task: Task, *, alone: bool, budget: float = SLICE) -> tuple[list[Done],
         os.environ.setdefault("RAYON_NUM_THREADS", "1")
         warnings.simplefilter("ignore", SecurestateWarning)  # the table says how an estimator fared
     begin, done = time.perf_counter(), list[Done]()
-    with one_thread:
+    with one_blas_thread():
         for position, group in enumerate(task.groups):
             done += _group(task, group)
             if time.perf_counter() - begin >= budget:
