@@ -10,7 +10,7 @@ ARGS ?=
 export PYTHON
 export PYO3_PYTHON := $(CURDIR)/$(PY)
 # cargo would look for make's job server in vain.
-unexport MAKEFLAGS
+unexport MAKEFLAGS MFLAGS
 # Without bytecode each of the many processes that the tests start compiles every module again.
 unexport PYTHONDONTWRITEBYTECODE
 
