@@ -21,7 +21,7 @@ from securestate._sensor import Sensor
 from securestate.errors import PlantError
 
 PLANT_KEYS = ("name", "dt", "arrays", "state_names", "A", "B", "Q", "R", "D")
-SENSOR_KEYS = ("name", "C", "R", "D", "protected", "channels", "offset", "scale", "unit")
+SENSOR_KEYS = ("name", "C", "R", "D", "protected", "verifiable", "channels", "offset", "scale", "unit")
 INPUT_KEYS = ("name", "offset", "scale")
 STATE_KEYS = ("name",)
 TABLES = ("plant", "state", "input", "sensor")

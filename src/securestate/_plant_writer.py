@@ -71,6 +71,8 @@ def _sensor_table(plant: "Plant", i: int) -> Table:
         table["D"] = _rows(plant.D[rows])
     if sensor.protected:
         table["protected"] = True
+    if not sensor.verifiable:
+        table["verifiable"] = False
     if any(sensor.unit):
         table["unit"] = sensor.unit[0] if len(set(sensor.unit)) == 1 else list(sensor.unit)
     if np.any(sensor.offset):

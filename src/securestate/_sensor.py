@@ -23,6 +23,8 @@ class Sensor(Value):
             None if the plant carries the covariance of all channels.
         D: feedthrough of the inputs, shape (p,) for one channel or (c, p).
         protected: True if nobody can tamper with this sensor.
+        verifiable: False if no other sensor can vouch for this one, so that nothing but the plant's expectation
+            speaks for or against it. Its trust is then NaN wherever it is not suspected, unless it is protected.
         channels: names of the channels. Default: the sensor's name, or name.1, name.2, ... for several.
         offset, scale: operating point, a number or one per channel; scale > 0.
         unit: engineering unit, one text for all channels or one per channel.
@@ -43,6 +45,7 @@ class Sensor(Value):
     R: Array | None
     D: Array | None
     protected: bool
+    verifiable: bool
     channels: tuple[str, ...]
     offset: Array
     scale: Array
@@ -56,6 +59,7 @@ class Sensor(Value):
         *,
         D: ArrayLike | None = None,
         protected: bool = False,
+        verifiable: bool = True,
         channels: Sequence[str] | None = None,
         offset: ArrayLike = 0.0,
         scale: ArrayLike = 1.0,
@@ -71,6 +75,7 @@ class Sensor(Value):
             R=None if R is None else check.covariance(f"{at}R", R, count, "one per channel", PlantError),
             D=None if D is None else _feedthrough(f"{at}D", D, count),
             protected=check.yes_or_no(f"{at}protected", protected, PlantError),
+            verifiable=check.yes_or_no(f"{at}verifiable", verifiable, PlantError),
             channels=_channel_names(f"{at}channels", channels, name, count),
             offset=check.per_item(f"{at}offset", offset, count, "channel", PlantError),
             scale=check.positive_per_item(f"{at}scale", scale, count, "channel", PlantError),
@@ -93,7 +98,8 @@ class Sensor(Value):
         return Sensor(**(same | changes))
 
     def __repr__(self) -> str:
-        return f"Sensor({self.name!r}, channels={len(self.channels)}{', protected' * self.protected})"
+        marks = ", protected" * self.protected + ", not verifiable" * (not self.verifiable)
+        return f"Sensor({self.name!r}, channels={len(self.channels)}{marks})"
 
 
 def _observation(argument: str, value: object) -> Array:

@@ -39,6 +39,7 @@ A plant file is TOML. Required are [plant] with A and Q, and at least one [[sens
     channels = ["probe.low", "probe.high"]   # default: the sensor's name, with .1, .2, ... for several
     C = [[0.0, 1.0], [0.0, 2.0]]
     R = [0.02, 0.03]
+    verifiable = false                 # no other sensor can vouch for it; default true
     unit = "cm"                        # or one per channel
     offset = [40.0, 80.0]              # a number or one per channel; y in files = offset + scale * model
     scale = 2.5
@@ -87,7 +88,7 @@ class Plant(Value):
         C: (m, n), or (T, m, n) if any sensor's C varies in time; B (n, p), D (m, p) with p >= 0; R (m, m).
         n, m, n_sensors, n_inputs: counts. time_varying; horizon: T, or None for a plant that does not vary.
         channel_names (m), sensor_names (N), units (m): text. channel_sensor (m,): owner of every channel.
-        offset, scale: (m,); input_offset, input_scale: (p,); protected: (N,) booleans.
+        offset, scale: (m,); input_offset, input_scale: (p,); protected, verifiable: (N,) booleans.
 
     Raises:
         PlantError: names the argument, what was expected and what came.
@@ -119,6 +120,7 @@ class Plant(Value):
     input_offset: Array
     input_scale: Array
     protected: NDArray[np.bool_]
+    verifiable: NDArray[np.bool_]
     dt: float
     name: str
 
@@ -168,6 +170,7 @@ class Plant(Value):
             input_offset=check.per_item("input_offset", input_offset, p, "input", PlantError),
             input_scale=check.positive_per_item("input_scale", input_scale, p, "input", PlantError),
             protected=np.array([sensor.protected for sensor in owned], dtype=np.bool_),
+            verifiable=np.array([sensor.verifiable for sensor in owned], dtype=np.bool_),
             dt=check.positive_number("dt", dt, PlantError),
             name=check.label("name", name, PlantError, empty=True),
         )
@@ -192,6 +195,12 @@ class Plant(Value):
     def n_inputs(self) -> int:
         """Number of inputs; may be 0."""
         return int(self.B.shape[1])
+
+    @property
+    def uncheckable(self) -> NDArray[np.bool_]:
+        """(N,): sensors that may lie and that no other can vouch for; trust in them is only ever distrust."""
+        alone: NDArray[np.bool_] = ~(self.verifiable | self.protected)
+        return alone
 
     @property
     def time_varying(self) -> bool:

@@ -82,7 +82,7 @@ impl Estimate {
         self.part(py, self.numbers.len() - n * n, n * n).reshape([n, n])
     }
 
-    /// Trust per sensor in [0, 1], NaN where it sent nothing, shape (N,).
+    /// Trust per sensor in [0, 1], NaN where it sent nothing or nothing speaks for it, shape (N,).
     #[getter]
     fn trust<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         self.part(py, 2 * self.dims.states, self.dims.sensors)

@@ -23,13 +23,15 @@ pub fn model(plant: &Bound<'_, PyAny>) -> PyResult<Model> {
     Model::new(matrices).map_err(to_python)
 }
 
-/// The operating point of a plant.
+/// The operating point of a plant, and its sensors that cannot be checked.
 pub fn units(plant: &Bound<'_, PyAny>) -> PyResult<Units> {
+    let uncheckable: Vec<bool> = plant.getattr("uncheckable")?.extract()?;
     Ok(Units {
         offset: floats(plant, "offset")?,
         scale: floats(plant, "scale")?,
         input_offset: floats(plant, "input_offset")?,
         input_scale: floats(plant, "input_scale")?,
+        uncheckable: (0..uncheckable.len()).filter(|&sensor| uncheckable[sensor]).collect(),
     })
 }
 

@@ -59,6 +59,7 @@ pub fn sparse_fusion(design: &Bound<'_, PyDict>) -> PyResult<Kernel> {
         scale: get("scale")?,
         input_offset: get("input_offset")?,
         input_scale: get("input_scale")?,
+        uncheckable: item(design, "uncheckable")?.extract()?,
     };
     let estimator = SparseFusion::new(matrices, projection(design, dims)?).map_err(to_python)?;
     let inner = Design::boxed(estimator, units).map_err(to_python)?;

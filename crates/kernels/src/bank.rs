@@ -71,7 +71,7 @@ pub trait Filter: Send + Sync {
 pub struct Design<E> {
     /// The algorithm.
     pub estimator: E,
-    /// The operating point.
+    /// The operating point, and the sensors that cannot be checked.
     pub units: Units,
 }
 
@@ -105,9 +105,14 @@ impl<E: Estimator + 'static> Design<E> {
         Error::check_len("scale", dims.channels, units.scale.len())?;
         Error::check_len("input_offset", dims.inputs, units.input_offset.len())?;
         Error::check_len("input_scale", dims.inputs, units.input_scale.len())?;
+        if let Some(sensor) = units.uncheckable.iter().find(|&&sensor| sensor >= dims.sensors) {
+            let expected = format!("sensors in 0..{}", dims.sensors);
+            return Err(Error::input("uncheckable", expected, sensor.to_string()));
+        }
         Ok(Arc::new(Handle(Arc::new(Self { estimator, units }))))
     }
 
+    /// Of what decides the state: sensors that cannot be checked may be marked later.
     fn fingerprint(&self) -> u64 {
         Fingerprint::default()
             .bytes(&self.estimator.fingerprint().to_le_bytes())

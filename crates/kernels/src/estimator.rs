@@ -48,7 +48,8 @@ pub struct Output<'a> {
     pub x_std: &'a mut [f64],
     /// P[k|k], (n, n) row-major, if the caller wants it.
     pub covariance: Option<&'a mut [f64]>,
-    /// Probability-like trust per sensor in [0, 1], NaN when it sent nothing, (N,).
+    /// Probability-like trust per sensor in [0, 1], NaN when it sent nothing, (N,). The driver adds where it
+    /// cannot be checked.
     pub trust: &'a mut [f64],
     /// Estimated injection per channel, NaN where there is none, (m,).
     pub attack: &'a mut [f64],

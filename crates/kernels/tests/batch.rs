@@ -10,6 +10,7 @@ use securestate_kernels::{Block, Design, Kernel, Record, Units};
 const RUNS: usize = 21;
 const STEPS: usize = 60;
 const P: usize = 2;
+const UNCHECKABLE: usize = 1;
 
 /// Numbers between −1 and 1, the same every time.
 fn numbers(count: usize, seed: u64) -> Vec<f64> {
@@ -43,6 +44,7 @@ fn kernel(n: usize, m: usize) -> Arc<dyn Kernel> {
         scale: scale(m, 13),
         input_offset: numbers(P, 15),
         input_scale: scale(P, 17),
+        uncheckable: vec![UNCHECKABLE],
     };
     Design::boxed(Kalman::new(Model::new(matrices).unwrap(), None).unwrap(), units).unwrap()
 }
@@ -120,6 +122,41 @@ fn runs_that_share_their_gaps_equal_single_runs_to_the_bit() {
         assert!(check(n, m, &y, &numbers(STEPS * P, 21), &[STEPS]));
         assert!(check(n, m, &y, &numbers(RUNS * STEPS * P, 23), &[21, 50, STEPS]));
     }
+}
+
+#[test]
+fn a_sensor_that_cannot_be_checked_has_no_trust_in_any_run_of_a_plan() {
+    let (n, m) = (4, 5);
+    let y = numbers(RUNS * STEPS * m, 31);
+    let mut batch = run(&*kernel(n, m), &y, &numbers(STEPS * P, 33), &[STEPS]);
+    batch.unshare();
+    for trust in batch.trust.chunks(m) {
+        assert!(trust[UNCHECKABLE].is_nan() && trust.iter().filter(|&&trust| trust == 1.0).count() == m - 1);
+    }
+}
+
+#[test]
+fn a_sensor_that_does_not_exist_cannot_be_uncheckable() {
+    let model = Model::new(Matrices {
+        a: vec![0.5],
+        b: vec![],
+        c: vec![1.0],
+        d: vec![],
+        q: vec![1.0],
+        r: vec![1.0],
+        channel_sensor: vec![0],
+        sensors: 1,
+        states: 1,
+    });
+    let units = Units {
+        offset: vec![0.0],
+        scale: vec![1.0],
+        input_offset: vec![],
+        input_scale: vec![],
+        uncheckable: vec![1],
+    };
+    let refused = Design::boxed(Kalman::new(model.unwrap(), None).unwrap(), units).err().unwrap().to_string();
+    assert_eq!(refused, "uncheckable: expected sensors in 0..1, received 1");
 }
 
 #[test]

@@ -117,7 +117,13 @@ fn matrices(states: usize, channels: usize) -> Matrices {
 
 /// The operating point of `m` channels and one input in normalised units.
 fn plain_units(m: usize) -> Units {
-    Units { offset: vec![0.0; m], scale: vec![1.0; m], input_offset: vec![0.0], input_scale: vec![1.0] }
+    Units {
+        offset: vec![0.0; m],
+        scale: vec![1.0; m],
+        input_offset: vec![0.0],
+        input_scale: vec![1.0],
+        uncheckable: vec![0],
+    }
 }
 
 fn kalman(states: usize, channels: usize) -> std::sync::Arc<dyn Kernel> {

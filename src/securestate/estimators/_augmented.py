@@ -20,7 +20,7 @@ from securestate.errors import DesignError, InputError
 from securestate.estimators._detectors import checked_rate, quantiles
 from securestate.estimators._protected import warn_of_hidden_modes, warn_of_small
 from securestate.estimators.kalman import prior_covariance, steady_or_reason
-from securestate.plant import Plant, Sensor
+from securestate.plant import Plant
 from securestate.resilience.detectability import mode_along, undetectable_modes
 
 Float = NDArray[np.float64]
@@ -106,16 +106,7 @@ def augmented_plant(plant: Plant, weak: NDArray[np.int64], increment: Float) -> 
     Phi = np.zeros((plant.m, len(weak)))
     Phi[weak, np.arange(len(weak))] = 1.0
     sensors = [
-        Sensor(
-            sensor.name,
-            C=_beside(sensor.C, Phi[plant.channels_of(i)]),
-            D=sensor.D,
-            protected=sensor.protected,
-            channels=sensor.channels,
-            offset=sensor.offset,
-            scale=sensor.scale,
-            unit=sensor.unit,
-        )
+        sensor.replaced(C=_beside(sensor.C, Phi[plant.channels_of(i)]), R=None)
         for i, sensor in enumerate(plant.sensors)
     ]
     return Plant(

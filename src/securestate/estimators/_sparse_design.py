@@ -151,6 +151,7 @@ def kernel_design(
         "sensors": coordinates.sensors.tolist(),
         "locals": coordinates.locals_.tolist(),
         "channel_sensor": plant.channel_sensor.tolist(),
+        "uncheckable": np.flatnonzero(plant.uncheckable).tolist(),
         "suspicion": SUSPICION,
         "refit": (plant.n_sensors - 1) // 2 if refit else 0,
     }

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from securestate.errors import DesignError
-from securestate.plant import Plant, Sensor
+from securestate.plant import Plant
 
 Float = NDArray[np.float64]
 
@@ -49,7 +49,7 @@ def stabilised(plant: Plant) -> Plant:
     return Plant(
         plant.A,
         plant.Q,
-        [_without_feedthrough(sensor) for sensor in plant.sensors],
+        [sensor.replaced(D=None) for sensor in plant.sensors],
         B=np.hstack([plant.B, extra]),
         D=np.hstack([plant.D, np.zeros((plant.m, plant.n))]),
         R=None if all(sensor.R is not None for sensor in plant.sensors) else plant.R,
@@ -102,17 +102,3 @@ def feedback_gain(plant: Plant) -> Float | None:
     if not np.all(np.isfinite(gain)) or np.abs(np.linalg.eigvals(A + B @ gain)).max() >= 1.0:
         return None
     return np.ascontiguousarray(gain, dtype=np.float64)
-
-
-def _without_feedthrough(sensor: Sensor) -> Sensor:
-    """The same sensor, its feedthrough left to the plant."""
-    return Sensor(
-        sensor.name,
-        sensor.C,
-        sensor.R,
-        protected=sensor.protected,
-        channels=sensor.channels,
-        offset=sensor.offset,
-        scale=sensor.scale,
-        unit=sensor.unit,
-    )
