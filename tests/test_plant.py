@@ -152,6 +152,7 @@ SENSOR_MISTAKES: list[tuple[dict[str, Any], str]] = [
     ({"C": np.eye(2), "R": [[1, 0.5], [0.4, 1]]}, "sensor 's': R: expected a symmetric matrix"),
     ({"D": [[1], [2]]}, "sensor 's': D: expected shape (1, p), received shape (2, 1)"),
     ({"D": "x"}, "sensor 's': D: expected an array of real numbers"),
+    ({"verifiable": 0}, "sensor 's': verifiable: expected True or False, received 0 (int)"),
     ({"protected": 1}, "sensor 's': protected: expected True or False, received 1 (int)"),
     ({"channels": ["a", "b"]}, "sensor 's': channels: expected 1 names, received 2"),
     ({"channels": "a"}, "sensor 's': channels: expected a list of text"),
@@ -290,7 +291,12 @@ def test_junk_gives_a_plant_or_a_plant_error(argument: str, value: object) -> No
         assert error.expected
 
 
-@given(st.sampled_from(["name", "C", "R", "D", "protected", "channels", "offset", "scale", "unit"]), junk)
+@given(
+    st.sampled_from(
+        ["name", "C", "R", "D", "protected", "verifiable", "channels", "offset", "scale", "unit"]
+    ),
+    junk,
+)
 def test_junk_gives_a_sensor_or_a_plant_error(argument: str, value: object) -> None:
     try:
         assert isinstance(sensor(**{argument: value}), Sensor)
@@ -313,6 +319,7 @@ def test_arrays_are_copies_that_cannot_be_written() -> None:
         p.offset,
         p.scale,
         p.protected,
+        p.verifiable,
         p.channel_sensor,
         p.sensors[0].C,
     ):
@@ -333,6 +340,7 @@ def test_equality_is_by_value_and_hashing_is_off() -> None:
     assert two_gauges() != plant()
     assert sensor() == sensor()
     assert sensor() != sensor(scale=2)
+    assert plant() != plant(sensors=[sensor(verifiable=False)])
     assert plant() != "plant"
     for value in (plant(), sensor(), Belief([0])):
         with pytest.raises(TypeError, match="unhashable"):
@@ -372,6 +380,7 @@ def test_reprs_are_short() -> None:
     assert repr(two_gauges()) == "Plant('tank', n=2, m=3, sensors=2, inputs=1, dt=0.5 s)"
     assert repr(plant(A=np.stack([A] * 4))) == "Plant(n=2, m=1, sensors=1, inputs=0, horizon=4, dt=1 s)"
     assert repr(two_gauges().sensors[0]) == "Sensor('a', channels=1, protected)"
+    assert repr(sensor(verifiable=False)) == "Sensor('s', channels=1, not verifiable)"
 
 
 @pytest.mark.parametrize("index", [-1, 2])
@@ -395,6 +404,34 @@ def test_selected_sensors_keep_their_correlations_and_order() -> None:
     p = plant(sensors=[sensor(name, R=None) for name in "abc"], R=R).select([2, 0])
     assert p.sensor_names == ("c", "a")
     np.testing.assert_array_equal(p.R, [[5, 0.5], [0.5, 3]])
+
+
+def marked(**changes: Any) -> Plant:
+    """Return a plant with a sensor of each kind."""
+    sensors = [
+        sensor("plain"),
+        sensor("alone", verifiable=False),
+        sensor("sealed", verifiable=False, protected=True),
+    ]
+    return plant(sensors=sensors, **changes)
+
+
+def test_only_who_may_lie_and_nobody_vouches_for_cannot_be_checked() -> None:
+    np.testing.assert_array_equal(marked().verifiable, [True, False, False])
+    np.testing.assert_array_equal(marked().uncheckable, [False, True, False])
+
+
+def test_whoever_changes_a_plant_keeps_who_vouches_for_whom() -> None:
+    p = marked(A=np.stack([A] * 4))
+    np.testing.assert_array_equal(p.select([1, 0]).verifiable, [False, True])
+    np.testing.assert_array_equal(p.with_sensors([sensor("new")]).verifiable, [True, False, False, True])
+    np.testing.assert_array_equal(p.with_protected([1]).verifiable, p.verifiable)
+    np.testing.assert_array_equal(p.with_protected([1]).uncheckable, [False] * 3)
+    np.testing.assert_array_equal(p.from_sample(2).verifiable, p.verifiable)
+    moving = sensor("alone", C=np.ones((4, 1, 2)), verifiable=False)
+    assert not moving.from_sample(1).verifiable
+    assert not moving.replaced(name="other").verifiable
+    assert moving.replaced(verifiable=True).verifiable
 
 
 def test_a_belief_holds_mean_and_covariance() -> None:

@@ -65,6 +65,7 @@ def test_the_documented_example_is_the_plant_it_describes(tmp_path: Path) -> Non
                 C=[[0.0, 1.0], [0.0, 2.0]],
                 R=[0.02, 0.03],
                 channels=["probe.low", "probe.high"],
+                verifiable=False,
                 unit="cm",
                 offset=[40.0, 80.0],
                 scale=2.5,
@@ -123,6 +124,11 @@ MISTAKES = [
         "C = ",
         'protected = "yes"\nC = ',
         "sensor 'gauge': protected: expected True or False, received 'yes'",
+    ),
+    (
+        "C = ",
+        "verifiable = 0\nC = ",
+        "sensor 'gauge': verifiable: expected True or False, received 0 (int)",
     ),
     ("C = [1, 0]", "C = [[1, 0], [1]]", "sensor 'gauge': C: expected an array of real numbers"),
     ("C = [1, 0]", "C = 1979-05-27", "sensor 'gauge': C: expected an array of real numbers"),
@@ -256,6 +262,14 @@ def test_time_varying_and_correlated_plants_survive_the_round_trip(tmp_path: Pat
     assert Plant.load(tmp_path / "p.toml") == plant
 
 
+def test_only_a_sensor_that_is_not_verifiable_says_so_in_the_file(tmp_path: Path) -> None:
+    plant = Plant([[1]], [[1]], [Sensor("a", C=[1], R=1), Sensor("b", C=[1], R=1, verifiable=False)])
+    plant.save(tmp_path / "p.toml")
+    before, after = (tmp_path / "p.toml").read_text().split('name = "b"')
+    assert "verifiable" not in before
+    assert "verifiable = false" in after
+
+
 number = st.floats(-1e300, 1e300, allow_subnormal=True)
 positive = st.floats(1e-300, 1e300)
 printable = st.text(st.characters(categories=["L", "N", "P", "S"]), min_size=1, max_size=6)
@@ -273,6 +287,7 @@ def plants(draw: st.DrawFn) -> Plant:
             R=draw(positive),
             D=numbers(p) if p else None,
             protected=draw(st.booleans()),
+            verifiable=draw(st.booleans()),
             channels=[f"{name}:{i}"],
             offset=draw(number),
             scale=draw(positive),

@@ -23,8 +23,9 @@ class Sensor(Value):
             None if the plant carries the covariance of all channels.
         D: feedthrough of the inputs, shape (p,) for one channel or (c, p).
         protected: True if nobody can tamper with this sensor.
-        verifiable: False if no other sensor can vouch for this one, so that nothing but the plant's expectation
-            speaks for or against it. Its trust is then NaN wherever it is not suspected, unless it is protected.
+        verifiable: False if no other sensor can vouch for this one, so that nothing but the plant's
+            expectation speaks for or against it. Its trust is then NaN wherever it is not suspected, unless
+            it is protected.
         channels: names of the channels. Default: the sensor's name, or name.1, name.2, ... for several.
         offset, scale: operating point, a number or one per channel; scale > 0.
         unit: engineering unit, one text for all channels or one per channel.

@@ -89,7 +89,7 @@ def show_summary(run: Run, summary: Summary, remarks: Sequence[str], written: It
     console.print()
     console.print(_sensors(summary, clock))
     console.print()
-    for line in [*_method(summary), *remarks]:
+    for line in [*([summary.caveat] if summary.caveat else []), *_method(summary), *remarks]:
         console.print(line)
     console.print(Text(summary.verdict, style="bold red" if summary.liars else "bold"))
     for path in written:
@@ -102,7 +102,7 @@ def _sensors(summary: Summary, clock: Clock) -> Table:
     grid = table("sensor", "verdict", "suspected", *missing, "first alarm", "estimated injection")
     for sensor in sorted(summary.sensors, key=lambda s: (not s.lies, -s.suspected)):
         grid.add_row(
-            sensor.name + (" (protected)" if sensor.protected else ""),
+            _name(sensor),
             _verdict(sensor),
             _share(sensor.suspected),
             *(() if complete else (_share(sensor.missing),)),
@@ -113,10 +113,18 @@ def _sensors(summary: Summary, clock: Clock) -> Table:
     return grid
 
 
+def _name(sensor: SensorSummary) -> str:
+    if sensor.protected:
+        return f"{sensor.name} (protected)"
+    return f"{sensor.name} (cannot be checked)" if sensor.uncheckable and sensor.first_alarm else sensor.name
+
+
 def _verdict(sensor: SensorSummary) -> str:
     if sensor.lies:
         return "LIES"
-    return "isolated alarms" if sensor.first_alarm else "-"
+    if sensor.first_alarm:
+        return "isolated alarms"
+    return "cannot be checked" if sensor.uncheckable else "-"
 
 
 def _share(share: float) -> str:

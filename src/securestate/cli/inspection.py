@@ -43,8 +43,9 @@ def _sizes(plant: Plant) -> str:
 
 
 def _sensors(plant: Plant) -> Table:
-    headings = ["sensor", "channels", "unit", "noise (1 sigma)", "protected", "alone does not see"]
-    grid = console.table(*(headings if not plant.time_varying else headings[:-1]))
+    headings = ["sensor", "channels", "unit", "noise (1 sigma)", "protected"]
+    headings += [] if plant.verifiable.all() else ["verifiable"]
+    grid = console.table(*headings, *([] if plant.time_varying else ["alone does not see"]))
     noise = plant.scale * np.sqrt(np.diag(plant.R))
     for i, sensor in enumerate(plant.sensors):
         own = plant.channels_of(i)
@@ -55,6 +56,8 @@ def _sensors(plant: Plant) -> Table:
             "\n".join(f"{deviation:.4g}" for deviation in noise[own]),
             "yes" if sensor.protected else "-",
         ]
+        if not plant.verifiable.all():
+            cells.append("yes" if sensor.verifiable else "no")
         if not plant.time_varying:
             cells.append("\n".join(map(str, unobserved_modes(plant, i))) or "-")
         grid.add_row(*cells)

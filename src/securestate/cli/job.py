@@ -108,8 +108,13 @@ def run_in_blocks(
 def window_remarks(first: ColdStart) -> list[str]:
     """Say what the cold start found."""
     names = np.array(first.plant.sensor_names)
-    believed = ~first.suspected & ~np.isnan(first.trust)
-    parties = (("believed", believed.any(axis=0)), ("distrusted", first.suspected.any(axis=0)))
+    believed = (~first.suspected & ~np.isnan(first.trust)).any(axis=0)
+    unchecked = np.atleast_2d(first.honest).any(axis=0) & ~believed
+    parties = (
+        ("believed", believed),
+        ("heard without a check", unchecked),
+        ("distrusted", first.suspected.any(axis=0)),
+    )
     said = [f"{what}: {enumerate_names(tuple(names[who].tolist()))}" for what, who in parties if who.any()]
     window = _count(first.samples, "sample")
     start = f"No prior: the first {window} were solved together; {'; '.join(said) or 'nothing arrived'}."

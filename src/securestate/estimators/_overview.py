@@ -28,9 +28,13 @@ def overview(run: Run, time: NDArray[Any]) -> go.Figure:
         vertical_spacing=0.08,
         subplot_titles=("Trust", "Innovation / standard deviation"),
     )
+    rows = [
+        f"{name} (cannot be checked)" if alone else name
+        for name, alone in zip(run.plant.sensor_names, run.plant.uncheckable, strict=True)
+    ]
     trust = go.Heatmap(
         x=time,
-        y=run.plant.sensor_names,
+        y=rows,
         z=run.trust.T,
         zmin=0,
         zmax=1,

@@ -54,7 +54,8 @@ class ColdStart(Value):
         belief: about x[tau], the state at the first sample after the window.
         attacked: "fixed" or "changing", what was assumed of the attacked set.
         honest: who is believed, (N,) for a fixed set, (tau, N) for a changing one; False where nothing came.
-        trust: (tau, N) in [0, 1], NaN where nothing arrived or nobody else checks what arrived.
+        trust: (tau, N) in [0, 1], NaN where nothing arrived or nobody else checks what arrived, as with a
+            sensor that the plant marks as not verifiable, where it is believed.
         attack: what a distrusted reading is off by, (tau, m), file units; 0 where a reading is believed, NaN
             where none arrived. attack_std: standard deviation of its error, NaN where nothing is estimated.
         certified: whether what is believed was checked. reason: why it is not certified; empty if it is.
@@ -247,6 +248,7 @@ def _cold_start(window: _Data, labels: Labels | None, fixed: bool, why: str) -> 
     honest.ravel()[keys] = labels.honest | groups.protected
     trust = np.full((tau, plant.n_sensors), np.nan)
     trust[seen.instant, seen.sensor] = trusts(seen, labels, groups)[groups.of]
+    trust[np.broadcast_to(honest & plant.uncheckable, trust.shape)] = np.nan
     attack, attack_std = window.injections(labels, groups)
     A = at(plant.A, k)
     return ColdStart._made(

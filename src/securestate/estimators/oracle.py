@@ -177,7 +177,7 @@ def _told(run: Run, y: Float, u: Float, predicted: Float, liars: Bool, first: in
     return replace(
         run,
         estimator="OracleFilter",
-        trust=np.where(sent, np.where(liars, 0.0, 1.0), np.nan),
+        trust=np.where(liars & sent, 0.0, run.trust),
         suspected=liars & sent,
         attack=np.where(lies | np.isnan(y), y - plant.reading(run.x, u, first), 0.0),
         innovation=np.where(lies, y - plant.reading(predicted, u, first), run.innovation),

@@ -42,7 +42,8 @@ class Run:
         x: filtered state x[k|k], (..., T, n).
         x_std: its standard deviations, (..., T, n).
         P: its covariance, (..., T, n, n), or None when it was not asked for.
-        trust: per sensor in [0, 1], NaN where the sensor sent nothing, (..., T, N).
+        trust: per sensor in [0, 1], (..., T, N); NaN where the sensor sent nothing, and where one that cannot
+            be checked (`Plant.uncheckable`) is not suspected.
         attack: estimated injection in sensor units, NaN where the method has no estimate, (..., T, m).
         attack_std: standard deviation of its error, NaN where the method states none, (..., T, m).
         suspected: whether a sensor is suspected, (..., T, N).

@@ -86,7 +86,10 @@ def manifest(run: Run, summary: Summary, clock: Clock, blocks: Packed) -> dict[s
         "samples": summary.samples,
         "time": {"unit": clock.unit, "decimals": clock.decimals, "regular": clock.regular},
         "bound": BOUND,
-        "sensors": [{"name": s.name, "lies": s.lies, "share": s.suspected} for s in summary.sensors],
+        "sensors": [
+            {"name": s.name, "lies": s.lies, "share": s.suspected, "uncheckable": s.uncheckable}
+            for s in summary.sensors
+        ],
         "channels": [
             {"label": label, "unit": unit, "sensor": int(owner), "noise": float(noise)}
             for label, unit, owner, noise in zip(

@@ -82,6 +82,7 @@ def render(
         remarks=paragraphs([*_remarks(summary), *notes]),
         facts=tables.facts(run, summary, clock, source),
         sensors=tables.sensors(summary, clock),
+        unknown=tables.unknown(summary),
         statuses=tables.statuses(summary),
         beside=section(both),
         plant=tables.plant(run),
@@ -92,7 +93,7 @@ def render(
 
 def _remarks(summary: Summary) -> list[str]:
     silent = tuple(s.name for s in summary.sensors if s.missing == 1.0)
-    remarks = []
+    remarks = [summary.caveat] if summary.caveat else []
     if silent:
         remarks.append(f"Sent nothing during the whole run: {enumerate_names(silent)}.")
     bad = sum(s.count for s in summary.statuses if s.name != "OK")

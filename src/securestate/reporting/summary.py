@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from securestate._words import enumerate_names
+from securestate._words import count, enumerate_names
 from securestate.errors import InputError
 from securestate.estimators.base import Status
 
@@ -51,10 +51,12 @@ class SensorSummary:
 
     `lies` tells a sensor that was suspected persistently from one with isolated alarms: at least half of
     some 20 samples in a row (of those it sent) were suspected. `since` is where that stretch begins.
+    `uncheckable`: it may lie and no other sensor can vouch for it, so that no alarm is no evidence.
     """
 
     name: str
     protected: bool
+    uncheckable: bool
     suspected: float
     missing: float
     first_alarm: Moment | None
@@ -103,6 +105,15 @@ class Summary:
         """
         return self.verdict_with(str)
 
+    @property
+    def caveat(self) -> str:
+        """How many sensors the verdict says nothing about, as one sentence; empty if there is none."""
+        alone = sum(s.uncheckable for s in self.sensors)
+        if not alone:
+            return ""
+        share = f"{alone} of {count(len(self.sensors), 'sensor')} cannot be checked"
+        return f"{share}: no other sensor vouches for {'it' if alone == 1 else 'them'}."
+
     def verdict_with(self, mark: Callable[[str], str]) -> str:
         """The verdict with every name in it as `mark` gives it, for instance as HTML."""
         liars = self.liars
@@ -113,8 +124,8 @@ class Summary:
                 "check its matrices, units and inputs, and whether the state starts at the operating point."
             )
         if liars:
-            count = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
-            return f"{count}: {enumerate_names(tuple(map(mark, liars)))}."
+            share = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
+            return f"{share}: {enumerate_names(tuple(map(mark, liars)))}."
         if any(s.first_alarm for s in self.sensors):
             return "No sensor lies persistently; there are isolated alarms."
         if self.estimator == "KalmanFilter":
@@ -148,11 +159,12 @@ def require_one_run(run: Run) -> None:
 
 
 def _sensor(run: Run, i: int) -> SensorSummary:
-    suspected, missing = run.suspected[:, i], np.isnan(run.trust[:, i])
+    suspected, missing = run.suspected[:, i], _silent(run, i)
     since = _persistent_since(suspected, missing)
     return SensorSummary(
         name=run.plant.sensor_names[i],
         protected=bool(run.plant.protected[i]),
+        uncheckable=bool(run.plant.uncheckable[i]),
         suspected=float(suspected.mean()),
         missing=float(missing.mean()),
         first_alarm=_moment(run, _first(suspected)),
@@ -160,6 +172,17 @@ def _sensor(run: Run, i: int) -> SensorSummary:
         since=_moment(run, since),
         injections=_injections(run, i),
     )
+
+
+def _silent(run: Run, i: int) -> NDArray[np.bool_]:
+    """Where a sensor sent nothing, (T,): no channel has an innovation or, in a cold start, an injection.
+
+    A trust of NaN alone does not say so: what arrived may be impossible to check.
+    """
+    own = run.plant.channels_of(i)
+    unheard = np.isnan(run.innovation[:, own]) & np.isnan(run.attack[:, own])
+    silent: NDArray[np.bool_] = np.isnan(run.trust[:, i]) & unheard.all(axis=1)
+    return silent
 
 
 def _first(flags: NDArray[np.bool_]) -> int | None:

@@ -36,6 +36,11 @@ def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[st
     return definitions(rows)
 
 
+def unknown(summary: Summary) -> str:
+    """What the colour of an unknown trust stands for."""
+    return "sent nothing, or cannot be checked" if summary.caveat else "sent nothing"
+
+
 def headline(summary: Summary) -> str:
     """The verdict; every name in it stays in one piece where the page is wide enough."""
     words = summary.verdict_with(_unbroken)
@@ -55,8 +60,8 @@ def _unbroken(name: str) -> str:
 def sensors(summary: Summary, clock: Clock) -> str:
     """A table of the sensors there is something to say about, liars first; the others are listed below it."""
     ranked = sorted(summary.sensors, key=lambda s: (not s.lies, s.missing < 1.0, -s.suspected, -s.missing))
-    told = [s for s in ranked if s.first_alarm is not None or s.missing > 0]
-    quiet = [s for s in ranked if s.first_alarm is None and s.missing == 0]
+    told = [s for s in ranked if s.first_alarm is not None or s.missing > 0 or s.uncheckable]
+    quiet = [s for s in ranked if s not in told]
     return _notable(told, clock) + _quiet(quiet, everyone=not told)
 
 
@@ -82,7 +87,9 @@ def _quiet(quiet: Sequence[SensorSummary], *, everyone: bool) -> str:
 
 
 def _name(s: SensorSummary) -> str:
-    return escape(s.name) + (' <span class="tag">protected</span>' if s.protected else "")
+    alone = "cannot be checked" if s.uncheckable and s.first_alarm else ""
+    tag = "protected" if s.protected else alone
+    return escape(s.name) + (f' <span class="tag">{tag}</span>' if tag else "")
 
 
 def _sensor_cells(s: SensorSummary, clock: Clock) -> tuple[str, ...]:
@@ -102,7 +109,9 @@ def _verdict(s: SensorSummary) -> str:
         return "lies"
     if s.missing == 1.0:
         return "no data"
-    return "no alarm" if s.first_alarm is None else "isolated alarms"
+    if s.first_alarm is not None:
+        return "isolated alarms"
+    return "cannot be checked" if s.uncheckable else "no alarm"
 
 
 def _moment(moment: Moment | None, clock: Clock) -> str:
@@ -170,6 +179,7 @@ def plant(run: Run) -> str:
     p = run.plant
     noise = channel_noise(p)
     head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
+    head += () if p.verifiable.all() else ("Verifiable",)
     rows = (
         (
             escape(p.channel_names[c]),
@@ -179,6 +189,7 @@ def plant(run: Run) -> str:
             f"{p.scale[c]:.6g}",
             f"{noise[c]:.3g}",
             "yes" if p.protected[owner] else "",
+            *(() if p.verifiable.all() else ("yes" if p.verifiable[owner] else "no",)),
         )
         for c, owner in enumerate(p.channel_sensor)
     )

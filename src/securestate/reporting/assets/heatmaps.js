@@ -64,11 +64,12 @@ function trustChart({ trust, suspected }, width, view, clock) {
   const starts = bins(view.from, view.to, most(width)), period = periods(clock, starts);
   const z = [], hover = [];
   MANIFEST.sensors.forEach((sensor, s) => {
+    const none = sensor.uncheckable ? "–, cannot be checked" : "–";
     const least = extremes(trust.column(s), starts, (a, b) => a < b).map((code) => code === null ? null : trust.value(s, code));
     const share = shares(starts, suspicion(suspected, s));
     z.push(least.map((value, b) => (share[b] ? -Math.sqrt(share[b]) : value)));
     hover.push(least.map((value, b) =>
-      `<b>${plain(sensor.name)}</b><br>${period[b]}<br>trust ${value === null ? "–" : value.toFixed(2)}${suspectedText(share[b])}`));
+      `<b>${plain(sensor.name)}</b><br>${period[b]}<br>trust ${value === null ? none : value.toFixed(2)}${suspectedText(share[b])}`));
   });
   const names = MANIFEST.sensors.map((s) => ({ name: s.name, red: s.lies }));
   const scale = [[0, css("red")], [0.4999, css("red-faint")], [0.5, css("trust-none")], [1, css("trust-full")]];
