@@ -34,6 +34,7 @@ from securestate.estimators import (
     Status,
     cold_start,
 )
+from securestate.identification import History, Identified, Verdict, identify, judge
 from securestate.measurements import Measurements, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
@@ -50,6 +51,8 @@ __all__ = [
     "Estimate",
     "Estimator",
     "Filter",
+    "History",
+    "Identified",
     "InnovationGate",
     "InnovationMixture",
     "InputError",
@@ -73,10 +76,13 @@ __all__ = [
     "SparseFusion",
     "Status",
     "Trajectory",
+    "Verdict",
     "analyse",
     "attacks",
     "cold_start",
     "compare",
+    "identify",
+    "judge",
     "read_measurements",
     "simulate",
     "write_run",

@@ -120,24 +120,29 @@ def _solve_schur(plant: Plant) -> Array | None:
     return np.asarray((P + P.T) / 2, dtype=np.float64) if np.all(np.isfinite(P)) else None
 
 
-def _solve_doubling(plant: Plant, steps: int = 60) -> Array | None:
-    """P by structure-preserving doubling: step k holds the Riccati recursion after 2^k samples."""
-    A, P = plant.A.T, plant.Q
-    G = plant.C.T @ linalg.cho_solve(linalg.cho_factor(plant.R), plant.C)
-    for _ in range(steps):
-        with np.errstate(all="ignore"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            try:
-                W = linalg.solve(np.eye(plant.n) + G @ P, np.hstack([A, G]))
-            except (linalg.LinAlgError, ValueError):
-                return None
-            W_A, W_G = W[:, : plant.n], W[:, plant.n :]
-            A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
-        if not np.all(np.isfinite(new)):
+def _solve_doubling(plant: Plant) -> Array | None:
+    return doubling(plant.A, plant.C, plant.Q, plant.R)
+
+
+def doubling(A: Array, C: Array, Q: Array, R: Array, steps: int = 60) -> Array | None:
+    """P = cov x[k|k-1] by structure-preserving doubling; None if it breaks down.
+
+    Step k holds the Riccati recursion after 2^k samples. A (n, n), C (m, n), Q (n, n), R (m, m).
+    """
+    A, P, I = A.T, Q, np.eye(len(A))
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            G = C.T @ linalg.cho_solve(linalg.cho_factor(R), C)
+            for _ in range(steps):
+                W = linalg.solve(I + G @ P, np.hstack([A, G]))
+                W_A, W_G = W[:, : len(I)], W[:, len(I) :]
+                A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
+                if np.max(np.abs(new - P)) <= 1e-15 * np.max(np.abs(new)):
+                    return new
+                P = new
+        except (linalg.LinAlgError, ValueError):
             return None
-        if np.max(np.abs(new - P)) <= 1e-15 * np.max(np.abs(new)):
-            return new
-        P = new
     return None
 
 

@@ -1,0 +1,398 @@
+"""From a history without lies to a plant, with evidence.
+
+1. `prepare`: normalise, leave out what never changes, merge what repeats itself, find the rounding.
+2. `lags`: how long a past predicts. `subspace`: models of all orders. `order`: how many states.
+3. `maximise`: maximum likelihood with independent sensor noises, on all of the history.
+4. `judge`: a verdict by samples not used for fitting; `assemble`: the plant, its noise as large as it turned
+out.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate import _checks as check
+from securestate._threads import one_blas_thread
+from securestate._words import count, enumerate_names
+from securestate.errors import InputError, MeasurementError, SecurestateWarning
+from securestate.identification.assemble import assemble, grouped, marked, scaled_noise
+from securestate.identification.forms import EDGE, Independent, Innovations, Segment
+from securestate.identification.history import History, numbered
+from securestate.identification.judge import VERIFIABLE, Verdict, fitting, judged
+from securestate.identification.lags import past_length
+from securestate.identification.maximise import Fit, Freedom, maximise
+from securestate.identification.order import TRIAL, OrderSearch, score, search
+from securestate.identification.prepare import FILLED, Prepared, complete, prepare, split
+from securestate.identification.redundancy import explained, left_out
+from securestate.identification.subspace import Subspace
+from securestate.plant import Plant
+
+Array = NDArray[np.float64]
+Progress = Callable[[str, int, int], None]
+
+#: Share of the history, its end, that judges orders, and the model if there is no other record to do so.
+KEPT_BACK = 0.25
+
+#: EM and L-BFGS steps of the last fit, and of the one on gaps that follows it.
+FINAL, WITH_GAPS = (5, 150), (8, 20)
+
+#: Samples that a history needs at least, in all and per channel and input.
+LEAST, LEAST_EACH = 50, 3
+
+#: Orders of innovations forms at most.
+LARGEST = 20
+
+#: Nats per sample and channel from which on the innovations form, not the plant, is asked what sensors share.
+COSTLY = 0.01
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Identified:
+    """A plant learned from a history, and how far it can be trusted.
+
+    Attributes:
+        plant: to be used; its operating point keeps files in engineering units. A sensor that the others
+            cannot
+            vouch for is not `verifiable`.
+        verdict: judged by samples not used for fitting. Without a held-out record these are the last quarter
+            of
+            the history, judged with a model of the same order fitted to the rest; the plant is fitted to all.
+        search: the orders tried.
+        innovations: the best innovations form, in normalised units, channels as in `channels`.
+        channels: channels of the innovations form; of several that repeat each other the first.
+        likelihoods: log-likelihood in nats per sample over the steps of the last fit; they never fall.
+        noise_factor: by how much Q and R were raised so that errors on new data are as large as the plant
+            says.
+        remarks: what was done to the data, and what stood out, one sentence each.
+        samples, missing: of the history: how many, and the share of readings that were missing.
+    """
+
+    plant: Plant
+    verdict: Verdict
+    search: OrderSearch
+    innovations: Innovations
+    channels: tuple[str, ...]
+    likelihoods: tuple[float, ...]
+    noise_factor: float
+    remarks: tuple[str, ...]
+    samples: int
+    missing: float
+
+    def __str__(self) -> str:
+        return "\n".join([self.headline, *self.verdict.sentences(), *self.remarks])
+
+    @property
+    def headline(self) -> str:
+        """What was learned, in one sentence."""
+        plant = self.plant
+        inputs = f" and {count(plant.n_inputs, 'input')}" if plant.n_inputs else ""
+        return (
+            f"{plant.name or 'A plant'} of {count(plant.n, 'state')} learned from "
+            f"{count(self.samples, 'sample')} of {count(plant.m, 'channel')}{inputs}."
+        )
+
+
+def identify(
+    y: object,
+    u: object = None,
+    order: int | Literal["auto"] = "auto",
+    *,
+    held_out: object = None,
+    held_out_u: object = None,
+    feedthrough: bool = False,
+    largest_eigenvalue: float = EDGE,
+    sensors: Mapping[str, Sequence[str]] | None = None,
+    dt: float = 1.0,
+    channel_names: Sequence[str] | None = None,
+    units: Sequence[str] | None = None,
+    input_names: Sequence[str] | None = None,
+    name: str = "",
+    progress: Progress | None = None,
+) -> Identified:
+    """Learn a plant from a record in which no sensor lied.
+
+        y = offset + scale (C x + D u~ + v),   x+ = A x + B u~ + w,   w ~ N(0, Q),  v ~ N(0, R)
+
+    u~ are normalised inputs, R does not couple sensors: otherwise the lie of one leaked into the others.
+
+    Args:
+        y: measurements (N, m) in engineering units, NaN where missing: an array or a table with column names;
+            a
+            list of these, one per segment; or a `History`.
+        u: inputs of the same samples, (N, q), in the same way. Inputs that a controller computes from y
+            repeat
+            what the sensors said: leave them out if in doubt.
+        order: number of states, or "auto": the smallest that predicts samples kept back as well as any.
+        held_out, held_out_u: another record of the same channels for the verdict.
+        feedthrough: let an input act within its sample (D). Only if no controller computes u from y of the
+            same
+            sample: else a sensor vouches for itself by way of the controller, and a warning says for which.
+        largest_eigenvalue: A's eigenvalues are kept below this size, in (0, 1).
+        sensors: channels by sensor, for sensors that own several; the others own one each.
+        dt: seconds between samples. channel_names, units, input_names, name: as in `History.of` and `Plant`.
+        progress: called with a stage, steps done and steps at most.
+    Returns:
+        The plant with its verdict. Look at the verdict.
+    Raises:
+        InputError, ShapeError, MeasurementError: the record cannot be used; says why.
+        SecurestateWarning (a warning): channels left out or merged, inputs that make sensors vouch for
+        themselves.
+    Notes:
+        Takes seconds for 20 channels and 1,500 samples. The same data give the same plant on the same
+        machine, whatever the number of threads.
+    References:
+        chiuso2007 and jansson2003 for the subspace, shumway1982 for maximum likelihood.
+
+    Examples:
+        >>> import numpy as np
+        >>> rng = np.random.default_rng(1)
+        >>> x = np.zeros(1000)
+        >>> for k in range(1, 1000):
+        ...     x[k] = 0.9 * x[k - 1] + rng.normal()
+        >>> y = 20 + x[:, None] + rng.normal(size=(1000, 3))
+        >>> found = identify(y, dt=60.0, channel_names=["left", "middle", "right"], units=["cm"] * 3)
+        >>> print(found.plant, found.verdict.grade)
+        Plant(n=1, m=3, sensors=3, inputs=0, dt=60 s) good
+    """
+    history = History.of(y, u, dt=dt, channel_names=channel_names, units=units, input_names=input_names)
+    other = None if held_out is None else _other(history, held_out, held_out_u)
+    wanted = None if order == "auto" else check.whole_number("order", order, 1, InputError)
+    if not 0 < check.positive_number("largest_eigenvalue", largest_eigenvalue, InputError) < 1:
+        raise InputError("largest_eigenvalue", "a number in (0, 1)", str(largest_eigenvalue))
+    if check.yes_or_no("feedthrough", feedthrough, InputError) and not history.input_names:
+        raise InputError("feedthrough", "inputs, or False", "True without inputs")
+    with one_blas_thread():
+        task = _Task(history, other, feedthrough, largest_eigenvalue, progress or (lambda *_: None))
+        return task.run(wanted, sensors, name)
+
+
+def _other(history: History, y: object, u: object) -> History:
+    """The held-out record with the history's channels and inputs."""
+    given = History.of(y, u, dt=history.dt)
+    channels, inputs = history.channel_names, history.input_names
+    if given.channel_names == numbered("y", len(channels)):
+        given = replace(given, channel_names=channels)
+    if given.input_names == numbered("u", len(inputs)):
+        given = replace(given, input_names=inputs)
+    return given.select(channels, inputs)
+
+
+@final
+class _Task:
+    """One identification: the data, and what is done with them."""
+
+    def __init__(
+        self, history: History, other: History | None, feedthrough: bool, edge: float, progress: Progress
+    ) -> None:
+        self.history, self.other, self.feedthrough, self.edge = history, other, feedthrough, edge
+        self.tell = progress
+        self.prepared = prepare(history)
+        self.stretches = complete(self.prepared.segments)
+        _refuse_short(history, self.prepared, self.stretches)
+        fitted, kept = split(self.prepared.segments, KEPT_BACK)
+        self.fitted, self.kept = complete(fitted), complete(kept)
+        self.gaps = any(np.isnan(y).any() for y, _ in self.prepared.segments)
+
+    def run(self, order: int | None, sensors: Mapping[str, Sequence[str]] | None, name: str) -> Identified:
+        """Do everything."""
+        channels = grouped(self.history, self.prepared, sensors)
+        remarks = list(self.prepared.remarks)
+        for remark in remarks:
+            warnings.warn(remark, SecurestateWarning, stacklevel=4)
+        self.tell("looking at the past", 0, 1)
+        past, largest = self._past(order)
+        subspace = Subspace(self.fitted, past, self.feedthrough, self.edge)
+        found, trial = search(
+            subspace,
+            self.fitted,
+            self.kept,
+            self.prepared.floor,
+            order,
+            largest,
+            lambda stage: self.tell(stage, 0, 1),
+        )
+        checked, steps = self._checked(trial)
+        fit = self._final(checked, steps)
+        plant = assemble(fit.model, self.history, self.prepared, channels, name)
+        remarks += self._leaks(subspace, found, plant)
+        self.tell("judging", 0, 1)
+        verdict = self._judge(fit.model if self.other else checked, found, subspace, plant, channels, name)
+        factor = self._noise_factor(verdict)
+        sure = {sensor.name: sensor.verifiable for sensor in verdict.sensors}
+        best = max(found.innovations, key=lambda n: found.innovations[n])
+        return Identified(
+            plant=marked(scaled_noise(plant, factor), sure),
+            verdict=verdict,
+            search=found,
+            innovations=Subspace(self.stretches, past, self.feedthrough, self.edge).model(best),
+            channels=tuple(self.history.channel_names[group.channels[0]] for group in self.prepared.groups),
+            likelihoods=fit.likelihoods,
+            noise_factor=factor,
+            remarks=tuple(remarks),
+            samples=self.history.samples,
+            missing=self.history.missing,
+        )
+
+    def _past(self, order: int | None) -> tuple[int, int]:
+        """How many samples of the past the regressions use, and the largest order of innovations forms."""
+        m, width = len(self.prepared.groups), len(self.prepared.groups) + len(self.prepared.inputs)
+        lengths = np.array([len(y) for y, _ in self.fitted])
+        total = int(lengths.sum())
+        longest = int(np.clip(total // (4 * width), 1, max(4, min(30, 600 // width))))
+        while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
+            longest -= 1
+        largest = max(2, min(LARGEST, total // 20)) if order is None else order
+        past = max(2, past_length(self.fitted, longest, self.feedthrough))
+        wanted = max(past, int(np.ceil(1.5 * largest / m)))
+        return min(wanted, max(2, total // (3 * width))), largest
+
+    def _checked(self, trial: Independent) -> tuple[Independent, int]:
+        """The trial fit climbed further, if that predicts the samples kept back better; and in how many
+        steps.
+        """
+        freedom = self._freedom(trial)
+        em, steps = FINAL
+        further = maximise(
+            trial,
+            self.fitted,
+            freedom,
+            self.prepared.floor,
+            em=em,
+            steps=steps,
+            progress=self._bar("fitting"),
+        )
+        better = score(further.model, self.kept).mean() > score(trial, self.kept).mean()
+        return (further.model, steps) if better else (trial, TRIAL[1])
+
+    def _final(self, start: Independent, steps: int) -> Fit:
+        """Maximum likelihood on all of the history."""
+        freedom = self._freedom(start)
+        fit = maximise(
+            start,
+            self.stretches,
+            freedom,
+            self.prepared.floor,
+            em=FINAL[0],
+            steps=steps,
+            progress=self._bar("fitting all"),
+        )
+        if not self.gaps:
+            return fit
+        em, steps = WITH_GAPS
+        return maximise(
+            fit.model,
+            self.prepared.segments,
+            freedom,
+            self.prepared.floor,
+            em=em,
+            steps=steps,
+            gaps=True,
+            progress=self._bar("fitting with gaps"),
+        )
+
+    def _bar(self, stage: str) -> Callable[[int, int], None]:
+        return lambda done, total: self.tell(stage, done, total)
+
+    def _freedom(self, model: Independent) -> Freedom:
+        return replace(Freedom.all(model, self.feedthrough), limit=self.edge)
+
+    def _judge(
+        self,
+        model: Independent,
+        found: OrderSearch,
+        subspace: Subspace,
+        plant: Plant,
+        channels: Mapping[str, list[int]],
+        name: str,
+    ) -> Verdict:
+        """The verdict on this model by the held-out record, or by the samples kept back."""
+        judged_plant = assemble(model, self.history, self.prepared, channels, name)
+        kept = replace(self.history, segments=tuple(split(self.history.segments, KEPT_BACK)[1]))
+        record = fitting(plant, self.other or kept).segments
+        law = None
+        order = [self.history.channel_names.index(channel) for channel in plant.channel_names]
+        alone = len(order) == len(self.prepared.groups)
+        if alone and found.cost > COSTLY * len(order):
+            best = subspace.model(max(found.innovations, key=lambda n: found.innovations[n]))
+            place = [self._group_of(channel) for channel in order]
+            law = replace(
+                best, C=best.C[place], D=best.D[place], K=best.K[:, place], S=best.S[np.ix_(place, place)]
+            )
+        return judged(judged_plant, record, self._parameters(model), law)
+
+    def _group_of(self, channel: int) -> int:
+        return next(g for g, group in enumerate(self.prepared.groups) if channel in group.channels)
+
+    def _parameters(self, model: Independent) -> float:
+        """By how much errors grow on new data because so many parameters were fitted: 2 k / readings.
+
+        Fitted errors are too small by k / readings, new ones too large by as much. n^2 parameters are
+        coordinates.
+        """
+        n, (m, q) = model.n, model.D.shape
+        k = n * (m + q) + n * (n + 1) // 2 + m + (m * q if self.feedthrough else 0)
+        readings = sum(int(np.isfinite(y).sum()) for y, _ in self.prepared.segments)
+        return float(2 * k / readings)
+
+    def _noise_factor(self, verdict: Verdict) -> float:
+        """Errors on new data over what the model says, if surely larger; less where the plant saw more
+        data.
+        """
+        found = verdict.residuals
+        readings = max(int(found.channels.sum()), 1)
+        excess = found.size - 1
+        if excess < 2 * np.sqrt(2 / readings):
+            return 1.0
+        return float(1 + excess * (1.0 if self.other else 1 - KEPT_BACK))
+
+    def _leaks(self, subspace: Subspace, found: OrderSearch, plant: Plant) -> list[str]:
+        """Sensors that only the inputs of the same sample vouch for; warns of them."""
+        if not self.feedthrough:
+            return []
+        n = max(found.innovations, key=lambda n: found.innovations[n])
+        without = Subspace(self.fitted, subspace.p, False, self.edge).model(n)
+        named = []
+        for sensor in plant.sensors:
+            rows = np.unique([self._group_of(self.history.channel_names.index(c)) for c in sensor.channels])
+            readings = [y[:, rows] for y, _ in self.kept]
+            shares = [
+                explained(left_out(form, rows, self.kept), readings)[0]
+                for form in (subspace.model(n), without)
+            ]
+            if shares[0] >= VERIFIABLE > shares[1]:
+                named.append(f"{sensor.name} ({shares[0]:.0%}, else {max(shares[1], 0):.0%})")
+        if not named:
+            return []
+        text = (
+            f"Only inputs of the same sample vouch for {enumerate_names(named)}. If a controller computes "
+            "these inputs from y, they repeat what the sensors say, and a liar vouches for itself: set "
+            "feedthrough=False"
+        )
+        warnings.warn(text, SecurestateWarning, stacklevel=5)
+        return [text + "."]
+
+
+def _refuse_short(history: History, prepared: Prepared, stretches: Sequence[Segment]) -> None:
+    """Refuse what is too short to learn anything from."""
+    width = len(prepared.groups) + len(prepared.inputs)
+    needed = max(LEAST, LEAST_EACH * width)
+    if history.samples < needed:
+        raise MeasurementError(
+            "y", f"at least {needed} samples for {width} channels and inputs", str(history.samples)
+        )
+    whole = sum(len(y) for y, _ in stretches)
+    if whole < needed:
+        y = np.vstack([y for y, _ in history.segments])
+        worst = int(np.argmax(np.isnan(y).mean(axis=0)))
+        raise MeasurementError(
+            "y",
+            f"at least {needed} samples in stretches without a gap of more than {FILLED} samples",
+            f"{whole}; {history.channel_names[worst]} misses most, {np.isnan(y[:, worst]).mean():.0%}",
+        )

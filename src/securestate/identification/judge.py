@@ -1,0 +1,313 @@
+"""Judge a model by a record that it was not fitted to: a grade, and what the others say of every sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate._steady_state import steady_state
+from securestate._threads import one_blas_thread
+from securestate._words import count, enumerate_names
+from securestate.errors import InputError, ShapeError
+from securestate.estimators.kalman import KalmanFilter
+from securestate.identification.forms import Innovations, Segment
+from securestate.identification.history import History, numbered
+from securestate.identification.redundancy import explained, left_out
+from securestate.identification.residuals import WARM_UP, Residuals, residuals
+from securestate.identification.verdict import Grade, Problem, overall, problems
+from securestate.plant import Plant
+
+Array = NDArray[np.float64]
+
+#: A sensor can be checked if the others surely explain this share of its variation.
+VERIFIABLE = 0.5
+
+#: Samples used where channels are missing and every sensor takes a filter run of its own.
+GAP_SAMPLES = 5000
+
+#: Sensors left out at most before a bad fit is put down to the plant, and how many are tried in each round.
+BLAMED, TRIED = 3, 10
+
+#: A fit is restored if errors are at most this many times as large as the model says.
+RESTORED = 1.5
+
+
+@final
+@dataclass(frozen=True)
+class SensorEvidence:
+    """What a record says of one sensor.
+
+    Attributes:
+        name: of the sensor.
+        explained: share of its variation that the other sensors (and the inputs) explain, at most 1; of
+            several
+            channels the least. NaN if it was hardly read.
+        explained_least: the same at least, with 95 % confidence.
+        verifiable: whether the others explain at least half of it, surely.
+        variance: its prediction errors over what the model says, as a variance; the worst channel.
+        repeat: their correlation from sample to sample. ljung_box: how likely that much is by chance.
+        shift: their mean in standard deviations.
+        noise: share of the prediction error's variance that is the sensor's own noise, by the model.
+    """
+
+    name: str
+    explained: float
+    explained_least: float
+    verifiable: bool
+    variance: float
+    repeat: float
+    ljung_box: float
+    shift: float
+    noise: float
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Verdict:
+    """Whether a model is good enough to judge sensors by.
+
+    Attributes:
+        grade: good, usable or inadequate.
+        problems: what is wrong, the gravest first.
+        sensors: evidence per sensor, in the plant's order.
+        residuals: the numbers behind it.
+        blamed: sensors without which an inadequate model fits; empty if there are none such, or none is
+            needed.
+    """
+
+    grade: Grade
+    problems: tuple[Problem, ...]
+    sensors: tuple[SensorEvidence, ...]
+    residuals: Residuals
+    blamed: tuple[str, ...] = ()
+
+    @property
+    def verifiable(self) -> tuple[str, ...]:
+        """Names of the sensors that the others can vouch for."""
+        return tuple(sensor.name for sensor in self.sensors if sensor.verifiable)
+
+    def __str__(self) -> str:
+        return "\n".join(self.sentences())
+
+    def sentences(self) -> Iterator[str]:
+        """The verdict as an engineer reads it."""
+        found = self.residuals
+        samples = count(found.samples, "sample")
+        yield {
+            Grade.GOOD: f"The model is good: on {samples} it was not fitted to, its errors are what it says "
+            f"({found.size:.2f} times the variance; {found.exceed:.1%} beyond the limit for 5 %).",
+            Grade.USABLE: f"The model is usable, judged by {samples} it was not fitted to.",
+            Grade.INADEQUATE: f"The model is inadequate, judged by {samples} it was not fitted to: "
+            "do not judge sensors by it.",
+        }[self.grade]
+        yield from (str(problem) for problem in self.problems)
+        named = self.verifiable
+        total = len(self.sensors)
+        if not named:
+            yield "No sensor can be checked: the others explain less than half of each one's variation."
+        elif len(named) == total:
+            yield "Every sensor can be checked: the others explain at least half of its variation."
+        else:
+            yield (
+                f"{len(named)} of {count(total, 'sensor')} can be checked by the others: "
+                f"{enumerate_names(named, 12)}."
+            )
+
+
+def judge(plant: Plant, y: object, u: object = None) -> Verdict:
+    """Judge a plant's model by a record, best one that it was not fitted to and in which nobody lied.
+
+    Args:
+        plant: does not vary in time.
+        y: measurements (N, m) in engineering units, NaN where missing: an array or a table, or a list of
+            these,
+            one per segment; or a `History` with the plant's channels.
+        u: inputs (N, p) in the same way; None for a plant without inputs.
+    Returns:
+        The verdict. An inadequate one says whether the plant or some sensors are more likely the reason.
+    Raises:
+        ShapeError, MeasurementError: the record does not fit the plant.
+        DesignError: the plant has no steady state.
+
+    Examples:
+        >>> import numpy as np
+        >>> from securestate import Plant, Sensor
+        >>> plant = Plant([[0.9]], [[0.19]], [Sensor(name, C=[1.0], R=0.1) for name in ("a", "b")])
+        >>> rng = np.random.default_rng(1)
+        >>> x = np.zeros(2000)
+        >>> for k in range(1, 2000):
+        ...     x[k] = 0.9 * x[k - 1] + rng.normal(scale=0.19**0.5)
+        >>> y = x[:, None] + rng.normal(scale=0.1**0.5, size=(2000, 2))
+        >>> print(judge(plant, y).grade)
+        good
+        >>> print(judge(plant, 2 * y).grade)
+        inadequate
+    """
+    if not isinstance(plant, Plant):
+        raise InputError("plant", "a Plant", type(plant).__name__)
+    return judged(plant, fitting(plant, History.of(y, u)).segments)
+
+
+def fitting(plant: Plant, history: History) -> History:
+    """The history with exactly the plant's channels and inputs, in its order; columns without names as they
+    come.
+
+    Raises:
+        InputError: a channel or input is not there. ShapeError: columns without names of another number.
+    """
+    channels = _matched("y", "channel", history.channel_names, plant.channel_names)
+    inputs = _matched("u", "input", history.input_names, plant.input_names)
+    return history.select(channels, inputs)
+
+
+def _matched(argument: str, what: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> tuple[str, ...]:
+    if given != numbered(argument, len(given)):
+        return wanted
+    if len(given) != len(wanted):
+        raise ShapeError(argument, f"{count(len(wanted), what)}, as the plant has", str(len(given)))
+    return given
+
+
+def judged(
+    plant: Plant, record: Sequence[Segment], parameters: float | None = None, law: Innovations | None = None
+) -> Verdict:
+    """The verdict on segments in engineering units.
+
+    Args:
+        parameters: expected growth of errors because parameters were fitted, see `verdict.TOO_FEW`.
+        law: the channels' law for leaving sensors out, if it is better known than by the plant.
+    """
+    with one_blas_thread():
+        found = residuals(plant, record)
+        wrong = list(problems(found, plant.channel_names, parameters))
+        blamed: tuple[str, ...] = ()
+        if found.size > RESTORED and overall(wrong) is Grade.INADEQUATE:
+            blamed = _blame(plant, record)
+            wrong.append(_reason(blamed))
+        wrong.sort(key=lambda problem: problem.grade is not Grade.INADEQUATE)
+        sensors = tuple(_evidence(plant, record, found, law))
+    return Verdict(overall(wrong), tuple(wrong), sensors, found, blamed)
+
+
+def _evidence(
+    plant: Plant, record: Sequence[Segment], found: Residuals, law: Innovations | None
+) -> Iterator[SensorEvidence]:
+    gaps = any(np.isnan(y).any() for y, _ in record)
+    steady = steady_state(plant)
+    form = law or Innovations(
+        plant.A, plant.B, plant.C, plant.D, plant.A @ steady.gain, steady.innovation_cov
+    )
+    scaled = [(plant.normalise(y), plant.normalise_input(u)) for y, u in record]
+    own = np.diag(plant.R) / np.diag(steady.innovation_cov)
+    for i, name in enumerate(plant.sensor_names):
+        rows = np.arange(plant.m)[plant.channels_of(i)]
+        if gaps:
+            remains, readings = _left_out_with_gaps(plant, rows, record)
+        else:
+            remains, readings = left_out(form, rows, scaled), [y[:, rows] for y, _ in scaled]
+        skips = [min(WARM_UP, len(part) // 4) for part in remains]
+        share, least = explained(
+            [part[skip:] for part, skip in zip(remains, skips, strict=True)],
+            [part[skip:] for part, skip in zip(readings, skips, strict=True)],
+        )
+        worst = rows[
+            int(np.argmax(np.abs(np.log(np.maximum(np.nan_to_num(found.variance[rows], nan=1.0), 1e-300)))))
+        ]
+        yield SensorEvidence(
+            name=name,
+            explained=share,
+            explained_least=least,
+            verifiable=bool(least >= VERIFIABLE),
+            variance=float(found.variance[worst]),
+            repeat=float(found.repeat[0, worst]),
+            ljung_box=float(found.ljung_box[worst]),
+            shift=float(found.shift[worst]),
+            noise=float(own[worst]),
+        )
+
+
+def _left_out_with_gaps(
+    plant: Plant, rows: NDArray[np.int64], record: Sequence[Segment]
+) -> tuple[list[Array], list[Array]]:
+    """What the others leave of some channels, by the filter for missing channels; the first samples only."""
+    estimator = KalmanFilter(plant)
+    remains, readings, seen = [], [], 0
+    for y, u in record:
+        here = max(0, min(len(y), GAP_SAMPLES - seen))
+        if not here:
+            break
+        seen += here
+        others = y[:here].copy()
+        others[:, rows] = np.nan
+        run = estimator.run(others, u[:here] if plant.n_inputs else None, covariance=False)
+        predicted = run.x @ plant.C[rows].T + plant.normalise_input(u[:here]) @ plant.D[rows].T
+        scaled = plant.normalise(y[:here])[:, rows]
+        remains.append(scaled - predicted)
+        readings.append(scaled)
+    return remains, readings
+
+
+def _blame(plant: Plant, record: Sequence[Segment]) -> tuple[str, ...]:
+    """The fewest sensors, at most `BLAMED`, found one after the other, without which the model fits."""
+    estimator = KalmanFilter(plant)
+    record = [(y[:GAP_SAMPLES], u[:GAP_SAMPLES]) for y, u in record]
+    out: list[int] = []
+    while len(out) < min(BLAMED, plant.n_sensors - 1):
+        sizes = {i: _size_without(estimator, [*out, i], record) for i in _worst(estimator, out, record)}
+        out.append(min(sizes, key=lambda i: sizes[i]))
+        if sizes[out[-1]] <= RESTORED:
+            return tuple(plant.sensor_names[i] for i in sorted(out))
+    return ()
+
+
+def _worst(estimator: KalmanFilter, out: Sequence[int], record: Sequence[Segment]) -> list[int]:
+    """The sensors with the largest errors while those of `out` are not heard."""
+    plant = estimator.plant
+    squares, number = np.zeros(plant.m), np.zeros(plant.m)
+    for run in _runs(estimator, out, record):
+        z = run[0]
+        squares += np.nansum(z**2, axis=0)
+        number += np.isfinite(z).sum(axis=0)
+    mean = squares / np.maximum(number, 1)
+    by_sensor = [float(mean[plant.channels_of(i)].max()) for i in range(plant.n_sensors)]
+    order = sorted(range(plant.n_sensors), key=lambda i: -by_sensor[i])
+    return [i for i in order if i not in out][:TRIED]
+
+
+def _size_without(estimator: KalmanFilter, out: Sequence[int], record: Sequence[Segment]) -> float:
+    nis, channels = 0.0, 0.0
+    for _, run_nis, run_channels in _runs(estimator, out, record):
+        nis += float(run_nis.sum())
+        channels += float(run_channels.sum())
+    return nis / max(channels, 1.0)
+
+
+def _runs(
+    estimator: KalmanFilter, out: Sequence[int], record: Sequence[Segment]
+) -> Iterator[tuple[Array, Array, Array]]:
+    """Standardised innovations, nis and channels of every segment while some sensors are not heard."""
+    plant = estimator.plant
+    for y, u in record:
+        heard = y.copy()
+        for i in out:
+            heard[:, plant.channels_of(i)] = np.nan
+        run = estimator.run(heard, u if plant.n_inputs else None, covariance=False)
+        skip = min(WARM_UP, len(y) // 4)
+        z = (run.innovation / run.innovation_std)[skip:]
+        yield z, run.diagnostics["nis"][skip:], run.diagnostics["channels"][skip:]
+
+
+def _reason(blamed: Sequence[str]) -> Problem:
+    if blamed:
+        verb = "this sensor is" if len(blamed) == 1 else "these sensors are"
+        text = f"Without {enumerate_names(blamed)} the rest fits: more likely {verb} wrong than the model."
+    else:
+        text = (
+            f"Leaving out up to {BLAMED} sensors does not help: more likely the plant is not the model's "
+            "than that they lie."
+        )
+    return Problem(Grade.INADEQUATE, text)

@@ -1,0 +1,172 @@
+"""How many states: what predicts samples best that were not used for fitting.
+
+Orders are shortlisted by the innovations forms, which cost nothing more than the subspace. Independent noises
+often need more states for the same law, so from there on models with independent noises are fitted, for
+larger and larger orders as long as that helps. The smallest order counts that the data cannot tell from the
+best.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate.identification.forms import (
+    Independent,
+    Innovations,
+    Predictor,
+    Record,
+    innovations_of,
+    log_density,
+)
+from securestate.identification.independent import independent_of
+from securestate.identification.maximise import Freedom, maximise
+from securestate.identification.subspace import Subspace
+
+Array = NDArray[np.float64]
+
+#: Samples per block whose means are compared: within a block they depend on each other.
+BLOCK = 25
+
+#: A smaller order may predict worse by this many nats per sample and channel.
+NEGLIGIBLE = 0.002
+
+#: Steps up from the shortlisted orders, and how many in a row may fail to help.
+CLIMB, PATIENCE = (1, 1, 1, 2, 2, 3, 3, 4, 4), 2
+
+#: EM and L-BFGS steps of a trial fit.
+TRIAL = (5, 40)
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class OrderSearch:
+    """The orders tried, and how well each predicts the samples kept back.
+
+    Attributes:
+        order: the one chosen.
+        past: samples of the past that the regressions use.
+        innovations: mean log-likelihood per sample (nats) kept back, by order, of innovations forms.
+        independent: the same of models with independent noises.
+        cost: nats per sample that independent noises lose against the best innovations form; may be negative.
+    """
+
+    order: int
+    past: int
+    innovations: Mapping[int, float]
+    independent: Mapping[int, float]
+    cost: float
+
+
+def search(
+    subspace: Subspace,
+    fitted: Record,
+    kept_back: Record,
+    floor: Array,
+    order: int | None,
+    largest: int,
+    tell: Callable[[str], None],
+) -> tuple[OrderSearch, Independent]:
+    """Choose an order; return it with the model of that order fitted to `fitted`.
+
+    Args:
+        subspace: of `fitted`. kept_back: the samples that judge.
+        order: the order if it is not to be chosen. largest: of the innovations forms.
+        tell: called with the order that is fitted next.
+    """
+    forms = _innovations(subspace, kept_back, range(1, largest + 1) if order is None else (order,))
+    if not forms:
+        raise np.linalg.LinAlgError("no model of any order")
+    trials: dict[int, tuple[Array, Independent]] = {}
+
+    def fit(n: int) -> None:
+        if n not in trials and n <= subspace.largest_order:
+            tell(f"order {n}")
+            trials[n] = _trial(subspace, n, fitted, kept_back, floor)
+
+    best = max(forms, key=lambda n: forms[n].mean())
+    if order is not None:
+        fit(order)
+        chosen = order
+    else:
+        fit(_smallest(forms, 0.0))
+        fit(best)
+        _climb(trials, fit)
+        chosen = _smallest({n: values for n, (values, _) in trials.items()}, NEGLIGIBLE * subspace.m)
+    scores = {n: float(values.mean()) for n, (values, _) in sorted(trials.items())}
+    found = OrderSearch(
+        order=chosen,
+        past=subspace.p,
+        innovations={n: float(values.mean()) for n, values in forms.items()},
+        independent=scores,
+        cost=float(forms[best].mean()) - max(scores.values()),
+    )
+    return found, trials[chosen][1]
+
+
+def _innovations(subspace: Subspace, kept_back: Record, orders: range | tuple[int, ...]) -> dict[int, Array]:
+    """Log-likelihood of every sample kept back, by order; orders without a model are left out."""
+    found = {}
+    for n in orders:
+        if n > subspace.largest_order:
+            break
+        try:
+            values = score(subspace.model(n), kept_back)
+        except (np.linalg.LinAlgError, ValueError):
+            continue
+        if np.all(np.isfinite(values)):
+            found[n] = values
+    return found
+
+
+def score(model: Innovations | Independent, record: Record) -> Array:
+    """Log p(y[k] | the past) of every sample, nats, but for the first of each segment."""
+    form = innovations_of(model) if isinstance(model, Independent) else model
+    predict = Predictor(form)
+    return np.concatenate([log_density(predict(y, u)[0], form.S)[min(5, len(y) // 4) :] for y, u in record])
+
+
+def _trial(
+    subspace: Subspace, n: int, fitted: Record, kept_back: Record, floor: Array
+) -> tuple[Array, Independent]:
+    start = independent_of(subspace.model(n))
+    freedom = replace(Freedom.all(start, subspace.feedthrough), limit=subspace.edge)
+    em, steps = TRIAL
+    return max(
+        (
+            (score(model, kept_back), model)
+            for model in (start, maximise(start, fitted, freedom, floor, em=em, steps=steps).model)
+        ),
+        key=lambda found: float(found[0].mean()),
+    )
+
+
+def _climb(trials: Mapping[int, tuple[Array, Independent]], fit: Callable[[int], None]) -> None:
+    """Fit larger orders until that has not helped for a while."""
+    n, failed = max(trials), 0
+    for step in CLIMB:
+        n += step
+        best = max(values.mean() for values, _ in trials.values())
+        fit(n)
+        if n not in trials:
+            return
+        failed = failed + 1 if trials[n][0].mean() <= best else 0
+        if failed >= PATIENCE:
+            return
+
+
+def _smallest(scores: Mapping[int, Array], negligible: float) -> int:
+    """The smallest order within one standard error of the best, or within what is negligible."""
+    best = max(scores, key=lambda n: scores[n].mean())
+
+    def close(n: int) -> bool:
+        lost = scores[best] - scores[n]
+        blocks = lost[: len(lost) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+        error = float(blocks.std() / np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
+        return bool(lost.mean() <= max(error, negligible) + 1e-12)
+
+    return min(n for n in scores if close(n))

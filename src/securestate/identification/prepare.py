@@ -1,0 +1,245 @@
+"""What a history is before anything is fitted: segments in normalised units, and what had to be done to it.
+
+Constant channels say nothing and are left out. Channels that repeat each other are one sensor. Rounded
+readings have at least the noise of their rounding. Gaps stay gaps, but for the subspace step, which needs
+complete stretches, up to `FILLED` missing samples in a row are interpolated.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate._words import count, enumerate_names
+from securestate.errors import MeasurementError
+from securestate.identification.forms import Segment
+from securestate.identification.history import History
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Missing samples in a row that are interpolated for the subspace step.
+FILLED = 3
+
+#: Samples of a complete stretch at least.
+STRETCH = 10
+
+#: Two channels repeat each other if their difference is less than this share of their standard deviation.
+REPEATS = 1e-3
+
+#: Least variance of a sensor's noise, as a share of the channel's variance.
+LEAST_NOISE = 1e-6
+
+#: A standard deviation below this share of the channel's size is rounding of the numbers themselves.
+CONSTANT = 1e-12
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Group:
+    """Channels of the history that are one channel of the model.
+
+    Attributes:
+        channels: their numbers in the history; several if they repeat each other.
+        signs: +1 or -1 per channel, -1 if it runs against the first.
+    """
+
+    channels: tuple[int, ...]
+    signs: tuple[float, ...]
+
+
+@final
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """A history in normalised units.
+
+    Attributes:
+        groups: the channels of the model.
+        offset, scale: mean and standard deviation of every channel of the history, (m,).
+        steps: rounding of every channel of the history, engineering units; 0 if none was found, (m,).
+        inputs: numbers of the inputs used; input_offset, input_scale: their mean and standard deviation.
+        floor: least noise variance of the channels of the model.
+        segments: y (N, groups), u (N, inputs); NaN where nothing was read.
+        remarks: what was done, one sentence each.
+    """
+
+    groups: tuple[Group, ...]
+    offset: Array
+    scale: Array
+    steps: Array
+    inputs: Indices
+    input_offset: Array
+    input_scale: Array
+    floor: Array
+    segments: tuple[Segment, ...]
+    remarks: tuple[str, ...]
+
+    def normalise(self, history: History) -> tuple[Segment, ...]:
+        """The segments of another history of the same channels, in the same units."""
+        return tuple((self._channels(y), self._inputs(u)) for y, u in history.segments)
+
+    def _channels(self, y: Array) -> Array:
+        z = (y - self.offset) / self.scale
+        return np.column_stack([_mean(z[:, list(g.channels)] * g.signs) for g in self.groups])
+
+    def _inputs(self, u: Array) -> Array:
+        return (u[:, self.inputs] - self.input_offset) / self.input_scale
+
+
+def prepare(history: History) -> Prepared:
+    """Look at a history and normalise it.
+
+    Raises:
+        MeasurementError: no channel varies, or a channel holds no reading at all.
+    """
+    y, u = (np.vstack(parts) for parts in zip(*history.segments, strict=True))
+    _refuse_empty(history, y)
+    offset, scale = np.nanmean(y, axis=0), np.nanstd(y, axis=0)
+    varies = scale > CONSTANT * np.maximum(1.0, np.abs(offset))
+    if not varies.any():
+        raise MeasurementError("y", "channels that vary", "constant channels only")
+    moves = np.std(u, axis=0) > CONSTANT * np.maximum(1.0, np.abs(np.mean(u, axis=0)))
+    z = (y - offset) / np.where(varies, scale, 1.0)
+    groups = _groups(z, np.flatnonzero(varies))
+    steps = np.array([rounding(column) for column in y.T])
+    own = np.maximum(LEAST_NOISE, (steps / np.where(varies, scale, 1.0)) ** 2 / 12)
+    found = Prepared(
+        groups=groups,
+        offset=offset,
+        scale=np.where(varies, scale, 1.0),
+        steps=steps,
+        inputs=np.flatnonzero(moves),
+        input_offset=np.mean(u, axis=0)[moves],
+        input_scale=np.std(u, axis=0)[moves],
+        floor=np.array([np.mean(own[list(group.channels)]) for group in groups]),
+        segments=(),
+        remarks=tuple(_remarks(history, varies, moves, groups)),
+    )
+    return Prepared(**{**vars(found), "segments": found.normalise(history)})
+
+
+def _refuse_empty(history: History, y: Array) -> None:
+    empty = np.asarray(np.isnan(y).all(axis=0))
+    if empty.any():
+        names = [name for name, nothing in zip(history.channel_names, empty, strict=True) if nothing]
+        raise MeasurementError("y", "readings of every channel", f"none of {enumerate_names(names)}")
+
+
+def _groups(z: Array, kept: Indices) -> tuple[Group, ...]:
+    """Channels that repeat each other, together; each group in the order of the history."""
+    groups: list[Group] = []
+    for i in kept:
+        for g, group in enumerate(groups):
+            sign = _repeats(z[:, group.channels[0]], z[:, i])
+            if sign:
+                groups[g] = Group((*group.channels, int(i)), (*group.signs, sign))
+                break
+        else:
+            groups.append(Group((int(i),), (1.0,)))
+    return tuple(groups)
+
+
+def _repeats(first: Array, second: Array) -> float:
+    """+1 or -1 if the second channel repeats the first, or repeats it mirrored; 0 otherwise."""
+    both = np.isfinite(first) & np.isfinite(second)
+    if np.count_nonzero(both) < STRETCH:
+        return 0.0
+    sign = 1.0 if np.dot(first[both], second[both]) >= 0 else -1.0
+    return sign if np.std(first[both] - sign * second[both]) < REPEATS else 0.0
+
+
+def rounding(x: Array) -> float:
+    """The step that readings are rounded to, 0 if none is found.
+
+    Differences of values that occur are multiples of the smallest one, and values occur more than twice.
+    """
+    values = np.unique(x[np.isfinite(x)])
+    readings = np.count_nonzero(np.isfinite(x))
+    if len(values) < 2 or len(values) >= readings / 2:
+        return 0.0
+    apart = np.diff(values)
+    apart = apart[apart > CONSTANT * max(1.0, float(np.max(np.abs(values))))]
+    if not len(apart):
+        return 0.0
+    multiples = apart / apart.min()
+    whole = np.abs(multiples - np.round(multiples)) < 0.02
+    return float(apart.min()) if np.mean(whole) > 0.98 else 0.0
+
+
+def _mean(columns: Array) -> Array:
+    """Mean over the columns that hold a reading; NaN where none does."""
+    present = np.isfinite(columns)
+    number = present.sum(axis=1)
+    total = np.where(present, columns, 0.0).sum(axis=1)
+    return np.where(number > 0, total / np.maximum(number, 1), np.nan)
+
+
+def _remarks(
+    history: History, varies: NDArray[np.bool_], moves: NDArray[np.bool_], groups: Sequence[Group]
+) -> list[str]:
+    names, said = history.channel_names, []
+    still = [name for name, alive in zip(names, varies, strict=True) if not alive]
+    if still:
+        said.append(
+            f"{enumerate_names(still)} never changes in the history and is left out."
+            if len(still) == 1
+            else f"{enumerate_names(still)} never change in the history and are left out."
+        )
+    held = [name for name, alive in zip(history.input_names, moves, strict=True) if not alive]
+    if held:
+        said.append(f"{count(len(held), 'input')} without any change left out: {enumerate_names(held)}.")
+    for group in groups:
+        if len(group.channels) > 1:
+            repeated = enumerate_names([names[i] for i in group.channels])
+            said.append(
+                f"{repeated} repeat each other and count as one sensor: none of them vouches for another."
+            )
+    return said
+
+
+def complete(segments: Sequence[Segment], least: int = STRETCH) -> list[Segment]:
+    """Stretches without a gap, after gaps of up to `FILLED` samples are interpolated."""
+    stretches: list[Segment] = []
+    for y, u in segments:
+        filled = np.column_stack([_interpolated(column) for column in y.T])
+        whole = np.isfinite(filled).all(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(np.int8)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if stop - start >= least:
+                stretches.append((filled[start:stop], u[start:stop]))
+    return stretches
+
+
+def _interpolated(x: Array) -> Array:
+    """The channel with short gaps filled by straight lines."""
+    missing = np.isnan(x)
+    if not missing.any() or missing.all():
+        return x
+    line = np.interp(np.arange(len(x)), np.flatnonzero(~missing), x[~missing])
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
+    filled = x.copy()
+    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        if stop - start <= FILLED and start > 0 and stop < len(x):
+            filled[start:stop] = line[start:stop]
+    return filled
+
+
+def split(segments: Sequence[Segment], share: float) -> tuple[list[Segment], list[Segment]]:
+    """Cut a record in time: the last `share` of its samples, and what comes before."""
+    total = sum(len(y) for y, _ in segments)
+    cut = total - int(share * total)
+    before: list[Segment] = []
+    after: list[Segment] = []
+    seen = 0
+    for y, u in segments:
+        here = int(np.clip(cut - seen, 0, len(y)))
+        seen += len(y)
+        if here >= STRETCH:
+            before.append((y[:here], u[:here]))
+        if len(y) - here >= STRETCH:
+            after.append((y[here:], u[here:]))
+    return before, after
