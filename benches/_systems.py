@@ -26,7 +26,9 @@ class Truth:
 
 
 def independent_noises(rng: np.random.Generator) -> Truth:
-    """n = 2..10 states, m = 1..10 sensors, 0..3 inputs; noise 1 to 300 % of what the state does to a sensor."""
+    """N = 2..10 states, m = 1..10 sensors, 0..3 inputs; noise 1 to 300 % of what the state does to a
+    sensor.
+    """
     n, m, q = sizes(rng)
     A, B, C = dynamics(rng, n), rng.standard_normal((n, q)), rng.standard_normal((m, n))
     G = rng.standard_normal((n, max(1, int(rng.integers(n // 2 + 1, n + 1)))))
@@ -45,7 +47,9 @@ def general(rng: np.random.Generator) -> Truth:
         K, G = rng.standard_normal((n, m)) / np.sqrt(m), rng.standard_normal((m, m))
         for share in np.linspace(1.0, 0.05, 39):
             if radius(A - share * K @ C) < 0.95:
-                return Truth(Innovations(A, B, C, np.zeros((m, q)), share * K, G @ G.T / m + 0.1 * np.eye(m)), None)
+                return Truth(
+                    Innovations(A, B, C, np.zeros((m, q)), share * K, G @ G.T / m + 0.1 * np.eye(m)), None
+                )
 
 
 def sizes(rng: np.random.Generator) -> tuple[int, int, int]:
@@ -71,7 +75,7 @@ def dynamics(rng: np.random.Generator, n: int) -> Array:
 
 
 def record(form: Innovations, N: int, rng: np.random.Generator) -> tuple[Array, Array]:
-    """y (N, m) and u (N, q): inputs are steps held for 1 to 5 samples."""
+    """Y (N, m) and u (N, q): inputs are steps held for 1 to 5 samples."""
     q, total = form.B.shape[1], N + SETTLE
     u = np.zeros((total, q))
     for j in range(q):

@@ -1,4 +1,6 @@
-"""States given a whole record, while channels are missing one by one: what a fit of the plant needs of them."""
+"""States given a whole record, while channels are missing one by one: what a fit of the plant needs of
+them.
+"""
 
 from __future__ import annotations
 

@@ -105,6 +105,8 @@ class Verdict:
             "do not judge sensors by it.",
         }[self.grade]
         yield from (str(problem) for problem in self.problems)
+        if self.grade is Grade.INADEQUATE:
+            return  # what it says of the sensors means nothing
         named = self.verifiable
         total = len(self.sensors)
         if not named:

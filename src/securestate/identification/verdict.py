@@ -75,7 +75,7 @@ SURE = 4.0
 COLLAPSE = Limits(np.inf, 4.0)
 
 #: Growth of errors on new data because parameters were fitted, 2 k / (N m).
-TOO_FEW = Limits(0.06, 0.5)
+TOO_FEW = Limits(0.06, 0.25)
 
 
 def problems(found: Residuals, names: Sequence[str], parameters: float | None) -> Iterator[Problem]:
