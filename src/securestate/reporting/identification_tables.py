@@ -1,0 +1,397 @@
+"""The tables of an identification's report: why this grade, who can be checked, whether errors repeat, sensors."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate._words import count
+from securestate.identification import verdict as limits
+from securestate.reporting.clock import UNITS
+from securestate.reporting.comparison_tables import rate, scroll
+from securestate.reporting.page import compact, definitions, table
+
+if TYPE_CHECKING:
+    from securestate.identification import Identified, SensorEvidence
+    from securestate.identification.residuals import Residuals
+    from securestate.identification.verdict import Limits
+    from securestate.plant import Plant
+
+Float = NDArray[np.float64]
+Draw = Callable[[Iterable[str]], str]
+
+SHOWN = 40
+"""At most so many sensors or channels stand open in a table; the others are folded away."""
+
+WIDE, GOOD_END, USABLE_END = 100, 50, 80
+"""Of a gauge: where it ends, where good ends, where usable ends."""
+
+SHADES = (0.05, 0.1, 0.2, 0.4)
+"""Upper ends of the colours of autocorrelations."""
+
+UNLIKELY = 0.001
+"""A p-value below this stands out."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One number that a grade rests on.
+
+    Attributes:
+        name: what it is. text: the number as it is shown, with the channel it belongs to, HTML.
+        value: what is compared with the limits; never below `ideal`.
+        limits: from where on a model is only usable, or inadequate.
+        ideal: the number of a perfect model.
+        unit: of the limits as they are shown: "", "%", "sd".
+    """
+
+    name: str
+    text: str
+    value: float
+    limits: Limits
+    ideal: float = 0.0
+    unit: str = ""
+
+
+def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
+    """What a verdict looks at, in its order; what may be chance counts as nothing, as there."""
+    error = 1 / np.sqrt(np.maximum(found.counted, 1))
+    small = found.size < 1
+    yield Criterion(
+        "Errors over what the model says, as a variance",
+        compact(found.size),
+        1 / max(found.size, 1e-300) if small else found.size,
+        limits.TOO_SMALL if small else limits.TOO_LARGE,
+        1.0,
+        "inverse" if small else "",
+    )
+    yield Criterion(
+        "Samples beyond the limit for 5 %", rate(found.exceed), found.exceed, limits.EXCEED, unit="%"
+    )
+    first = np.abs(np.nan_to_num(found.repeat[0]))
+    sure = np.where(first > limits.SURE * error, first, 0.0)
+    repeats = found.repeats if sure.any() else 0.0
+    yield Criterion(
+        "Errors repeat from sample to sample, all channels", f"{repeats:.2f}", repeats, limits.REPEATS
+    )
+    yield _worst("The same, worst channel", sure, names, limits.REPEATS_WORST, "")
+    for name, values, errors in (
+        ("Plant away from its operating point", found.level, found.level_error * math.sqrt(2)),
+        ("Predictions off on average", found.shift, error),
+        ("Errors drift within the record", found.change, 2 * error),
+    ):
+        size = np.abs(np.nan_to_num(values))
+        yield _worst(name, np.where(size > limits.SURE * errors, size, 0.0), names, limits.SHIFT, "sd")
+    worst = found.worst_block / max(found.median_block, 0.25)
+    yield Criterion("Worst part of the record over the median", compact(worst), worst, limits.COLLAPSE, 1.0)
+
+
+def _worst(name: str, size: Float, names: Sequence[str], of: Limits, unit: str) -> Criterion:
+    i = int(np.argmax(size))
+    told = f"{size[i]:.2f}{f' {unit}' if unit else ''}, {escape(names[i])}" if size[i] > 0 else "none beyond chance"
+    return Criterion(name, told, float(size[i]), of, unit=unit)
+
+
+def why(found: Residuals, names: Sequence[str]) -> str:
+    """Every number the grade rests on, on a gauge of good, usable and inadequate."""
+    head = ("What is looked at", "Good, usable, inadequate", "Here", "Good up to", "Usable up to")
+    return scroll(table(head, (_criterion(one) for one in criteria(found, names))), "Why this grade")
+
+
+def _criterion(one: Criterion) -> str:
+    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
+    kind = str(one.limits.grade(one.value) or limits.Grade.GOOD)
+    return (
+        f'<tr><th scope="row">{escape(one.name)}</th><td class="gauge">{_gauge(one, kind)}</td>'
+        f'<td class="{kind}">{one.text}</td>'
+        f"<td>{_limit(good, one.unit)}</td>"
+        f"<td>{_limit(usable, one.unit) if good < usable else ''}</td></tr>"
+    )
+
+
+def _limit(value: float, unit: str) -> str:
+    if math.isinf(value):
+        return "any"
+    if unit == "inverse":
+        return f"down to {1 / value:.2f}"
+    return f"{100 * value:.0f} %" if unit == "%" else f"{value:g}{f' {unit}' if unit else ''}"
+
+
+def _gauge(one: Criterion, kind: str) -> str:
+    """Green, amber and red stretches, and a mark where the number stands."""
+    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
+    green = GOOD_END if good < usable else USABLE_END
+    amber = USABLE_END if math.isfinite(usable) else WIDE
+    if not one.value > good:
+        place = green * max(0.0, one.value - one.ideal) / (good - one.ideal)
+    elif one.value > usable:
+        place = amber + (WIDE - amber) * (1 - usable / one.value)
+    else:
+        share = (one.value - good) / (usable - good) if math.isfinite(usable) else 1 - good / one.value
+        place = green + (amber - green) * share
+    zones = ((0, green, "good"), (green, amber, "usable"), (amber, WIDE, "inadequate"))
+    drawn = "".join(
+        f'<rect class="zone {name}" x="{a}%" width="{b - a}%" y="8" height="6"/>' for a, b, name in zones if b > a
+    )
+    at = min(99.0, max(1.0, place))
+    return f'<svg aria-hidden="true">{drawn}<circle class="{kind}" cx="{at:.1f}%" cy="11" r="6"/></svg>'
+
+
+def checked(found: Identified) -> str:
+    """One bar per sensor: how much of its variation the others explain; those that can be checked first."""
+    order = sorted(found.verdict.sensors, key=lambda s: (not s.verifiable, -_or_zero(s.explained_least)))
+    rows = [_bar(one, found) for one in order]
+    return _folded(rows, _bars, "sensor")
+
+
+def _bars(rows: Iterable[str]) -> str:
+    axis = '<span class="scale"><span>0 %</span><span>50 %</span><span>100 %</span></span>'
+    drawn = table(("Sensor", axis, "Explained", "At least", ""), rows)
+    return scroll(drawn.replace("<table>", '<table class="bars">', 1), "Who can be checked")
+
+
+def _bar(one: SensorEvidence, found: Identified) -> str:
+    share, least = _or_zero(one.explained), _or_zero(one.explained_least)
+    drawn = (
+        f'<svg aria-hidden="true"><rect class="track" width="100%" y="6" height="14"/>'
+        f'<rect class="maybe" width="{100 * share:.2f}%" y="6" height="14"/>'
+        f'<rect class="sure" width="{100 * least:.2f}%" y="6" height="14"/>'
+        f'<line class="half" x1="50%" x2="50%" y1="0" y2="26"/>'
+        f'<line class="least" x1="{100 * least:.2f}%" x2="{100 * least:.2f}%" y1="3" y2="23"/></svg>'
+    )
+    said = "can be checked" if one.verifiable else "cannot be checked"
+    return (
+        f'<tr class="{"checked" if one.verifiable else "unchecked"}">'
+        f'<th scope="row">{escape(one.name)}{_tags(one, found)}</th><td class="bar">{drawn}</td>'
+        f"<td>{_share(one.explained)}</td><td>{_share(one.explained_least)}</td><td>{said}</td></tr>"
+    )
+
+
+def _tags(one: SensorEvidence, found: Identified) -> str:
+    plant = found.plant
+    channels = len(plant.sensors[plant.sensor_names.index(one.name)].channels)
+    told = f' <span class="tag">{channels} channels</span>' if channels > 1 else ""
+    return told + (' <span class="tag far">suspect</span>' if one.name in found.verdict.blamed else "")
+
+
+def _or_zero(share: float) -> float:
+    return min(1.0, max(0.0, share)) if math.isfinite(share) else 0.0
+
+
+def _share(share: float) -> str:
+    """In whole per cent; a dash if it is not known.
+
+    Examples:
+        >>> [_share(s) for s in (0.523, 0.998, -0.05, float("nan"))]
+        ['52 %', '99.8 %', '−5 %', '–']
+    """
+    if math.isnan(share):
+        return "–"
+    if share < 0:
+        return f"−{-100 * share:.0f} %"
+    return f"{100 * share:.1f} %" if share > 0.99 else f"{100 * share:.0f} %"
+
+
+def repeated(found: Residuals, names: Sequence[str]) -> str:
+    """Autocorrelation of every channel's errors by lag, coloured; the worst channels first if there are many."""
+    order = np.arange(len(names))
+    if len(names) > SHOWN:
+        order = np.argsort(-np.nanmax(np.nan_to_num(np.abs(found.repeat)), axis=0), kind="stable")
+    rows = [_repeats(found, int(i), names[i]) for i in order]
+    return _folded(rows, lambda some: _heat(some, len(found.repeat)), "channel")
+
+
+def _heat(rows: Iterable[str], lags: int) -> str:
+    drawn = table(("Channel", *(str(lag) for lag in range(1, lags + 1)), "Chance?"), rows)
+    return scroll(drawn.replace("<table>", '<table class="heat">', 1), "Are errors white")
+
+
+def _repeats(found: Residuals, i: int, name: str) -> str:
+    sure = limits.SURE / math.sqrt(max(int(found.counted[i]), 1))
+    cells = "".join(_cell(float(value), sure) for value in found.repeat[:, i])
+    return f'<tr><th scope="row">{escape(name)}</th>{cells}<td>{_p(float(found.ljung_box[i]))}</td></tr>'
+
+
+def _cell(value: float, sure: float) -> str:
+    if math.isnan(value):
+        return "<td>–</td>"
+    mark = " sure" if abs(value) > sure else ""
+    text = f"{abs(value):.2f}".lstrip("0") if abs(value) < 1 else "1.0"
+    sign = "−" if value < 0 and text != ".00" else ""
+    return f'<td class="{_shade(value)}{mark}">{sign}{text}</td>'
+
+
+def _shade(value: float) -> str:
+    """The class of a cell's colour.
+
+    Examples:
+        >>> [_shade(v) for v in (0.01, -0.04, 0.07, -0.3, 0.9)]
+        ['near', 'near', 'up1', 'down3', 'up4']
+    """
+    level = int(np.searchsorted(SHADES, abs(value)))
+    return "near" if level == 0 else f"{'up' if value > 0 else 'down'}{level}"
+
+
+def _p(value: float) -> str:
+    return "–" if math.isnan(value) else "&lt;0.001" if value < UNLIKELY else f"{value:.3f}"
+
+
+def _folded(rows: Sequence[str], draw: Draw, noun: str) -> str:
+    """A table of the first rows, and the others behind a click."""
+    if len(rows) <= SHOWN:
+        return draw(rows)
+    more = count(len(rows) - SHOWN, f"more {noun}")
+    return f"{draw(rows[:SHOWN])}<details><summary>{more}</summary>{draw(rows[SHOWN:])}</details>"
+
+
+def sensors(found: Identified) -> str:
+    """Everything about every channel, in the plant's order; a sensor's channels stand together."""
+    plant = found.plant
+    several = plant.m > plant.n_sensors
+    head = (
+        "Sensor",
+        *(("Channel",) if several else ()),
+        "Unit",
+        "Operating point",
+        "Normal variation",
+        "Noise σ",
+        "Can be checked",
+        "Explained (at least)",
+        "Own noise",
+        "Errors over claimed",
+        "Repeat",
+        "Ljung-Box p",
+        "Shift, sd",
+    )
+    rows = [row for i, one in enumerate(found.verdict.sensors) for row in _sensor(found, i, one, several)]
+    kind = "scroll tall" if plant.m > SHOWN else "scroll"
+    return scroll(table(head, rows), "Sensors").replace('class="scroll"', f'class="{kind}"', 1)
+
+
+def _sensor(found: Identified, i: int, one: SensorEvidence, several: bool) -> Iterator[str]:
+    plant, judged = found.plant, found.verdict.residuals
+    channels = range(plant.m)[plant.channels_of(i)]
+    span = f' rowspan="{len(channels)}"' if len(channels) > 1 else ""
+    scope = ' scope="rowgroup"' if len(channels) > 1 else ' scope="row"'
+    verdict = '<span class="verdict yes">yes</span>' if one.verifiable else '<span class="soft">no</span>'
+    whole = f"{_share(one.explained)} ({_share(one.explained_least)})"
+    for k in channels:
+        first = k == channels[0]
+        name = f"<th{scope}{span}>{escape(one.name)}{_tags(one, found)}</th>" if first else ""
+        channel = f"<td>{escape(plant.channel_names[k])}</td>" if several else ""
+        shared = (
+            f"<td{span}>{verdict}</td><td{span}>{whole}</td><td{span}>{_share(one.noise)}</td>" if first else ""
+        )
+        yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{_errors(judged, k)}</tr>"
+
+
+def _engineering(plant: Plant, k: int) -> str:
+    scale = float(plant.scale[k])
+    noise = math.sqrt(float(plant.R[k, k])) * scale
+    return (
+        f"<td>{escape(plant.units[k])}</td><td>{to_scale(float(plant.offset[k]), scale)}</td>"
+        f"<td>{compact(scale)}</td><td>{compact(noise)}</td>"
+    )
+
+
+def _errors(found: Residuals, k: int) -> str:
+    variance, p = float(found.variance[k]), float(found.ljung_box[k])
+    far = (variance > limits.TOO_LARGE.inadequate) or (1 / max(variance, 1e-300) > limits.TOO_SMALL.inadequate)
+    cells = (
+        (compact(variance), far),
+        (_signed(float(found.repeat[0, k])), abs(found.repeat[0, k]) > limits.REPEATS_WORST.usable),
+        (_p(p), p < UNLIKELY),
+        (_signed(float(found.shift[k])), abs(found.shift[k]) > limits.SHIFT.usable),
+    )
+    return "".join(f'<td class="out">{text}</td>' if out else f"<td>{text}</td>" for text, out in cells)
+
+
+def _signed(value: float) -> str:
+    return "–" if math.isnan(value) else f"{'−' if value < 0 else ''}{abs(value):.2f}"
+
+
+def to_scale(value: float, scale: float) -> str:
+    """A number with as many decimals as its normal variation needs.
+
+    Examples:
+        >>> to_scale(3662.1988, 33.9), to_scale(0.25055, 0.0301), to_scale(-2.5, 0.4), to_scale(1e9, 3e7)
+        ('3,662', '0.251', '−2.50', '1e9')
+    """
+    if abs(value) >= 1e7 or scale < 1e-7:
+        return compact(value).replace("-", "−", 1) if value < 0 else compact(value)
+    decimals = max(0, 1 - math.floor(math.log10(scale)))
+    return f"{'−' if value < 0 else ''}{abs(value):,.{decimals}f}"
+
+
+def facts(found: Identified, source: str | os.PathLike[str] | None) -> str:
+    """What it was learned from, and what came out."""
+    plant, judged = found.plant, found.verdict.residuals
+    values = np.linalg.eigvals(plant.A)
+    largest = float(np.max(np.abs(values), initial=0.0))
+    every = "" if plant.dt == 1.0 else f" of {_seconds(plant.dt)} ({_seconds(found.samples * plant.dt)})"
+    parts = sum(len(part) > 0 for part in judged.segments)
+    climb = found.likelihoods
+    return definitions(
+        {
+            "Learned from": f"{count(found.samples, 'sample')}{every}",
+            "Judged by": count(judged.samples, "sample") + (f" in {parts} segments" if parts > 1 else ""),
+            "Readings missing": _share(found.missing) if found.missing else "none",
+            "Sensors": f"{plant.n_sensors:,}" + (f" with {plant.m} channels" if plant.m > plant.n_sensors else ""),
+            "Inputs": f"{plant.n_inputs:,}" if plant.n_inputs else "none",
+            "States": f"{plant.n:,}",
+            "Largest |eigenvalue| of A": f"{largest:.4f}",
+            "Slowest time constant": constant(largest, plant.dt),
+            "Past used": count(found.search.past, "sample"),
+            "Likelihood of the last fit": f"{climb[0]:.3f} → {climb[-1]:.3f} nats per sample" if climb else "",
+            "Noise raised by": f"{found.noise_factor - 1:.0%}" if found.noise_factor != 1 else "nothing",
+            "Source": "" if source is None else os.fspath(source),
+        }
+    )
+
+
+def modes(found: Identified) -> str:
+    """Every mode of the plant with its time constant, the slowest first; pairs once."""
+    plant = found.plant
+    values = [v for v in np.linalg.eigvals(plant.A).tolist() if complex(v).imag >= 0]
+    rows = (_mode(complex(v), plant.dt) for v in sorted(values, key=lambda v: -abs(v)))
+    return scroll(table(("Eigenvalue", "Size", "Time constant", "Period"), rows), "Modes")
+
+
+def _mode(value: complex, dt: float) -> str:
+    turn = abs(math.atan2(value.imag, value.real))
+    name = f"{value.real:.4f}" + (f" ± {value.imag:.4f} i" if value.imag else "")
+    period = duration(2 * math.pi * dt / turn, dt) if value.imag else "–"
+    return (
+        f'<tr><th scope="row">{name.replace("-", "−")}</th><td>{abs(value):.4f}</td>'
+        f"<td>{constant(abs(value), dt)}</td><td>{period}</td></tr>"
+    )
+
+
+def constant(size: float, dt: float) -> str:
+    """The time in which a mode falls to 1/e."""
+    if size >= 1:
+        return "never fades"
+    return duration(-dt / math.log(size), dt) if size > 0 else "–"
+
+
+def duration(seconds: float, dt: float) -> str:
+    """A time as a reader wants it; in samples if the sample time is 1, as of a record without times.
+
+    Examples:
+        >>> duration(430, 180), duration(9000, 180), duration(0.02, 0.01), duration(12.3, 1.0)
+        ('7.17 min', '2.50 h', '0.0200 s', '12.3 samples')
+    """
+    return f"{compact(seconds)} samples" if dt == 1.0 else _seconds(seconds, 3)
+
+
+def _seconds(seconds: float, digits: int = 0) -> str:
+    unit, length = next(((u, s) for u, s, _ in UNITS if seconds >= 2 * s), ("s", 1.0))
+    value = seconds / length
+    return f"{compact(value)} {unit}" if digits else f"{value:,.4g} {unit}"
