@@ -24,6 +24,15 @@ if TYPE_CHECKING:
 MARKS = {"good": "✓", "usable": "!", "inadequate": "✕"}
 """The sign of a grade, for those who do not see its colour."""
 
+WARNING = '<span class="warning">– by a model that is inadequate: do not rely on it</span>'
+"""Beside what an inadequate model says of sensors."""
+
+LEGEND = (
+    '<p class="legend"><span><span class="key free"></span>innovations form: one noise for all channels</span>'
+    '<span><span class="key own"></span>independent noises: one per sensor, as a plant needs</span></p>'
+)
+"""Of the drawing of orders."""
+
 
 def write_identification(
     identified: Identified,
@@ -60,6 +69,7 @@ def render(
         grade=str(verdict.grade),
         tone="alarm" if verdict.grade == "inadequate" else "calm",
         mark=MARKS[verdict.grade],
+        stamp=verdict.grade.capitalize(),
         headline=escape(first),
         reasons=_reasons(found, others),
         learned=escape(found.headline),
@@ -69,7 +79,7 @@ def render(
         checked=tables.checked(found),
         predicts=_predicts(judged) if judged.samples else "<p>There is no sample to judge the model by.</p>",
         repeated=tables.repeated(judged, channels),
-        sure=f"{1 / max(1, int(judged.counted.max(initial=1))) ** 0.5:.2f}",
+        chance=f"{2 / max(1, int(judged.counted.max(initial=1))) ** 0.5:.2f}",
         orders=_orders(found.search),
         sensors=tables.sensors(found),
         facts=tables.facts(found, source),
@@ -89,8 +99,8 @@ def _remarks(found: Identified) -> str:
     said = list(found.remarks)
     if found.noise_factor != 1:
         said.append(
-            f"The noises of the plant were raised by {found.noise_factor - 1:.0%}, as variances, so that it "
-            "claims errors as large as they are on new data."
+            f"The noises of the plant were raised by {100 * (found.noise_factor - 1):.0f} %, as variances, so "
+            "that it claims errors as large as they are on new data."
         )
     if not said:
         return ""
@@ -98,9 +108,12 @@ def _remarks(found: Identified) -> str:
 
 
 def _counted(found: Identified) -> str:
-    """How many sensors can be checked, and what that means for the others."""
+    """How many sensors can be checked; not to be relied on if the model is inadequate."""
     able, total = len(found.verdict.verifiable), found.plant.n_sensors
-    return f'<b class="many">{able}</b> of {count(total, "sensor")} can be checked'
+    counted = f'<b class="many">{able}</b> of {count(total, "sensor")} can be checked'
+    if found.verdict.grade == "inadequate":
+        return f"{counted} {WARNING}"
+    return counted
 
 
 def _predicts(judged: Residuals) -> str:
@@ -112,7 +125,8 @@ def _predicts(judged: Residuals) -> str:
     hidden = f" {count(above, 'dot')} above the drawing." if above else ""
     caption = f"Each dot is {what}, each dash the mean of a longer stretch.{hidden}"
     rows = (
-        f'<tr><th scope="row">{a:,} to {b - 1:,}</th><td>{compact(v)}</td><td>{low:.2f} to {high:.2f}</td></tr>'
+        f'<tr><th scope="row">{a:,} to {b - 1:,}</th><td>{compact(v)}</td>'
+        f"<td>{low:.2f} to {high:.2f}</td></tr>"
         for a, b, v, low, high in zip(
             *(x.tolist() for x in (large.first, large.last, large.value, *large.band)), strict=True
         )
@@ -139,7 +153,7 @@ def _orders(search: OrderSearch) -> str:
     )
     numbers = scroll(table(("States", "Innovations form", "Independent noises"), rows), "Orders as numbers")
     return (
-        f"<figure>{figures.orders(search)}</figure>{paragraphs(said)}"
+        f"{LEGEND}<figure>{figures.orders(search)}</figure>{paragraphs(said)}"
         f"<details><summary>The orders as numbers</summary>{numbers}</details>"
     )
 
@@ -148,8 +162,8 @@ def _cost(search: OrderSearch) -> Iterator[str]:
     """What independent noises lose."""
     if search.cost > 0:
         yield (
-            f"Independent noises lose {search.cost:.2g} nats per sample against the best innovations form. They "
-            "are needed all the same: with noises that are shared, the lie of one sensor would look like the "
+            f"Independent noises lose {search.cost:.2g} nats per sample against the best innovations form. "
+            "They are needed all the same: with a noise that sensors share, the lie of one would look like the "
             "noise of another."
         )
     else:

@@ -1,7 +1,7 @@
-"""The drawings of an identification's report, SVG without a script: errors over time, their spread, the orders.
+"""The drawings of an identification's report: errors over time, how large they are, the orders tried.
 
-Across, everything stands in per cent of the drawing's width, so that text and dots keep their size on any
-screen.
+SVG without a script. Across, everything stands in per cent of the drawing's width, so that text and dots keep
+their size on any screen.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def beyond(found: Residuals) -> int:
 def _top(values: Float, band: float) -> float:
     """The upper end of the scale: holds the band and nearly all values."""
     usual = float(np.quantile(values, 0.98))
-    return max(1.35 * band, min(1.05 * float(values.max()), 1.6 * usual))
+    return max(1.35 * band, min(1.05 * float(values.max()), 2.2 * usual))
 
 
 def _dots(small: Means, scale: Scale) -> Iterator[str]:
@@ -177,46 +177,50 @@ def _foot(samples: int) -> str:
 def spread(found: Residuals) -> str:
     """How many samples have errors of which size, and how many should."""
     value = found.nis / np.maximum(found.channels, 1)
-    counts = np.unique(found.channels, return_counts=True)
-    usual = special.chdtri(float(np.median(found.channels)), 0.001) / float(np.median(found.channels))
-    top = max(usual, min(1.05 * float(value.max()), 1.6 * float(np.quantile(value, 0.98))))
-    edges = np.linspace(0, top, BARS + 1)
-    number = np.histogram(np.minimum(value, top * (1 - 1e-9)), edges)[0]
-    expected = np.diff(_expected(edges, counts))
-    expected[-1] = found.samples - expected[:-1].sum()
-    grid = np.linspace(0, top, CURVE + 1)
-    middle = (grid[1:] + grid[:-1]) / 2
-    curve = np.diff(_expected(grid, counts)) * CURVE / BARS
+    usual = float(np.median(found.channels))
+    top = _top(value, float(special.chdtri(usual, 0.01)) / usual)
+    number = np.histogram(np.minimum(value, top * (1 - 1e-9)), BARS, (0.0, top))[0]
+    curve = _expected(found, top, CURVE) * CURVE / BARS
     scale = Scale(0, top, 0, 1.08 * max(float(number.max()), float(curve.max())))
-    bars = "".join(
-        f'<rect class="bar" x="{scale.x(a)}" width="{100 / BARS - 0.4:.2f}%" y="{scale.y(n)}" '
-        f'height="{HEIGHT - FOOT - float(scale.y(n)):.1f}">'
-        f"<title>{_from_to(a, b, top)}: {n:,} samples, expected {e:.0f}</title></rect>"
-        for (a, b), n, e in zip(pairwise(edges.tolist()), number.tolist(), expected, strict=True)
-    )
-    points = list(zip(middle.tolist(), curve.tolist(), strict=True))
-    title = f"How many of {found.samples:,} samples have errors of which size; expected is a peak near 1"
-    at = HEIGHT - 8
-    marks = "".join(
-        f'<text x="{scale.x(tick)}" y="{at}" text-anchor="middle">{tick:g}</text>'
-        for tick in _nice(0, top, 4)
-        if 0 < tick < 0.97 * top
-    )
+    points = [((i + 0.5) * top / CURVE, height) for i, height in enumerate(curve.tolist())]
+    title = f"How many of {found.samples:,} samples have errors of which size; a perfect model's peak near 1"
     one = f'<line class="one" x1="{scale.x(1)}" x2="{scale.x(1)}" y1="{TOP}" y2="{HEIGHT - FOOT}"/>'
-    base = _level(HEIGHT - FOOT)
-    return _drawing(title, f'{base}{bars}{_line(points, scale, "expected")}{one}<text x="0" y="{at}">0</text>{marks}')
+    bars = "".join(_bars(number, _expected(found, top, BARS), scale))
+    line = _line(points, scale, "expected")
+    return _drawing(title, f"{_level(HEIGHT - FOOT)}{bars}{line}{one}{_sizes(scale)}")
 
 
-def _expected(edges: Float, counts: tuple[NDArray[np.int64], NDArray[np.int64]]) -> Float:
-    """Samples below these sizes if the model is right: chi-square, by the channels that were read."""
-    below = np.zeros(len(edges))
-    for channels, samples in zip(*counts, strict=True):
+def _expected(found: Residuals, top: float, parts: int) -> Float:
+    """Samples per part of 0 to `top` if the model is right: chi-square, by the channels that were read."""
+    edges = np.arange(parts + 1) * (top / parts)
+    below = np.zeros(parts + 1)
+    for channels, samples in zip(*np.unique(found.channels, return_counts=True), strict=True):
         below += samples * special.chdtr(float(channels), channels * edges)
-    return below
+    return np.diff(below)
 
 
-def _from_to(low: float, high: float, top: float) -> str:
-    return f"{low:.2f} and more" if high >= top else f"{low:.2f} to {high:.2f}"
+def _bars(number: NDArray[np.int64], expected: Float, scale: Scale) -> Iterator[str]:
+    """The last bar holds all that is larger, too."""
+    wide = scale.right / BARS
+    for i, n in enumerate(number.tolist()):
+        last = i == BARS - 1
+        of = f"{i * wide:.2f} and more" if last else f"{i * wide:.2f} to {(i + 1) * wide:.2f}"
+        e = float(number.sum() - expected[:-1].sum() if last else expected[i])
+        place = f'x="{scale.x(i * wide)}" width="{100 / BARS - 0.4:.2f}%" y="{scale.y(n)}"'
+        yield (
+            f'<rect class="bar" {place} height="{HEIGHT - FOOT - float(scale.y(n)):.1f}">'
+            f"<title>{of}: {n:,} samples, expected {e:.1f}</title></rect>"
+        )
+
+
+def _sizes(scale: Scale) -> str:
+    """The numbers of the axis."""
+    ticks = [tick for tick in _nice(0, scale.right, 4) if tick < 0.97 * scale.right]
+    return "".join(
+        f'<text x="{scale.x(tick)}" y="{HEIGHT - 8}" text-anchor="{"middle" if tick else "start"}">'
+        f"{tick:g}</text>"
+        for tick in ticks
+    )
 
 
 def orders(search: OrderSearch) -> str:
@@ -268,16 +272,19 @@ def _line(points: Sequence[tuple[float, float]], scale: Scale, kind: str) -> str
 def _plot(title: str, scale: Scale, inside: str) -> str:
     """A drawing with the numbers of its vertical axis at the left."""
     labels = "".join(
-        f'<text x="100%" y="{float(scale.y(tick)) + 4:.1f}" text-anchor="end">{tick:g}</text>'
+        f'<text x="100%" y="{float(scale.y(tick)) + 4:.1f}" text-anchor="end">{_number(tick)}</text>'
         for tick in _nice(scale.low, scale.high, 5)
     )
-    return (
-        f'<div class="plot"><svg class="axis" aria-hidden="true">{labels}</svg>{_drawing(title, inside)}</div>'
-    )
+    axis = f'<svg class="axis" aria-hidden="true">{labels}</svg>'
+    return f'<div class="plot">{axis}{_drawing(title, inside)}</div>'
+
+
+def _number(value: float) -> str:
+    return f"{value:g}".replace("-", "−")
 
 
 def _drawing(title: str, inside: str) -> str:
-    return f'<svg class="drawing" role="img" aria-label="{escape(title)}"><title>{escape(title)}</title>{inside}</svg>'
+    return f'<svg class="drawing" role="img" aria-label="{escape(title)}">{inside}</svg>'
 
 
 def _across(scale: Scale) -> str:

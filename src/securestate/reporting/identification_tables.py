@@ -1,4 +1,4 @@
-"""The tables of an identification's report: why this grade, who can be checked, whether errors repeat, sensors."""
+"""The tables of an identification's report: who can be checked, why this grade, what repeats, every sensor."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WIDE, GOOD_END, USABLE_END = 100, 50, 80
 """Of a gauge: where it ends, where good ends, where usable ends."""
 
 SHADES = (0.05, 0.1, 0.2, 0.4)
-"""Upper ends of the colours of autocorrelations."""
+"""Upper ends of the colours of autocorrelations; below the first, or within chance, there is none."""
 
 UNLIKELY = 0.001
 """A p-value below this stands out."""
@@ -95,14 +95,19 @@ def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
 
 def _worst(name: str, size: Float, names: Sequence[str], of: Limits, unit: str) -> Criterion:
     i = int(np.argmax(size))
-    told = f"{size[i]:.2f}{f' {unit}' if unit else ''}, {escape(names[i])}" if size[i] > 0 else "none beyond chance"
+    told = (
+        f"{size[i]:.2f}{f' {unit}' if unit else ''}, {escape(names[i])}"
+        if size[i] > 0
+        else "none beyond chance"
+    )
     return Criterion(name, told, float(size[i]), of, unit=unit)
 
 
 def why(found: Residuals, names: Sequence[str]) -> str:
     """Every number the grade rests on, on a gauge of good, usable and inadequate."""
     head = ("What is looked at", "Good, usable, inadequate", "Here", "Good up to", "Usable up to")
-    return scroll(table(head, (_criterion(one) for one in criteria(found, names))), "Why this grade")
+    drawn = table(head, (_criterion(one) for one in criteria(found, names)))
+    return scroll(drawn.replace("<table>", '<table class="gauges">', 1), "Why this grade")
 
 
 def _criterion(one: Criterion) -> str:
@@ -118,7 +123,7 @@ def _criterion(one: Criterion) -> str:
 
 def _limit(value: float, unit: str) -> str:
     if math.isinf(value):
-        return "any"
+        return "no limit"
     if unit == "inverse":
         return f"down to {1 / value:.2f}"
     return f"{100 * value:.0f} %" if unit == "%" else f"{value:g}{f' {unit}' if unit else ''}"
@@ -138,9 +143,11 @@ def _gauge(one: Criterion, kind: str) -> str:
         place = green + (amber - green) * share
     zones = ((0, green, "good"), (green, amber, "usable"), (amber, WIDE, "inadequate"))
     drawn = "".join(
-        f'<rect class="zone {name}" x="{a}%" width="{b - a}%" y="8" height="6"/>' for a, b, name in zones if b > a
+        f'<rect class="zone {name}" x="{a}%" width="{b - a}%" y="8" height="6"/>'
+        for a, b, name in zones
+        if b > a
     )
-    at = min(99.0, max(1.0, place))
+    at = min(97.0, max(3.0, place))
     return f'<svg aria-hidden="true">{drawn}<circle class="{kind}" cx="{at:.1f}%" cy="11" r="6"/></svg>'
 
 
@@ -148,7 +155,8 @@ def checked(found: Identified) -> str:
     """One bar per sensor: how much of its variation the others explain; those that can be checked first."""
     order = sorted(found.verdict.sensors, key=lambda s: (not s.verifiable, -_or_zero(s.explained_least)))
     rows = [_bar(one, found) for one in order]
-    return _folded(rows, _bars, "sensor")
+    unable = sum(not one.verifiable for one in order[SHOWN:])
+    return _folded(rows, _bars, "sensor", f", {unable:,} of them without a check" if unable else "")
 
 
 def _bars(rows: Iterable[str]) -> str:
@@ -159,12 +167,16 @@ def _bars(rows: Iterable[str]) -> str:
 
 def _bar(one: SensorEvidence, found: Identified) -> str:
     share, least = _or_zero(one.explained), _or_zero(one.explained_least)
+    tick = (
+        f'<line class="least" x1="{100 * least:.2f}%" x2="{100 * least:.2f}%" y1="3" y2="23"/>'
+        if least
+        else ""
+    )
     drawn = (
         f'<svg aria-hidden="true"><rect class="track" width="100%" y="6" height="14"/>'
         f'<rect class="maybe" width="{100 * share:.2f}%" y="6" height="14"/>'
         f'<rect class="sure" width="{100 * least:.2f}%" y="6" height="14"/>'
-        f'<line class="half" x1="50%" x2="50%" y1="0" y2="26"/>'
-        f'<line class="least" x1="{100 * least:.2f}%" x2="{100 * least:.2f}%" y1="3" y2="23"/></svg>'
+        f'<line class="half" x1="50%" x2="50%" y1="0" y2="26"/>{tick}</svg>'
     )
     said = "can be checked" if one.verifiable else "cannot be checked"
     return (
@@ -189,22 +201,24 @@ def _share(share: float) -> str:
     """In whole per cent; a dash if it is not known.
 
     Examples:
-        >>> [_share(s) for s in (0.523, 0.998, -0.05, float("nan"))]
-        ['52 %', '99.8 %', '−5 %', '–']
+        >>> [_share(s) for s in (0.523, 0.998, 0.9999, 1.0, -0.05, -0.001, float("nan"))]
+        ['52 %', '99.8 %', '>99.9 %', '100 %', '−5 %', '0 %', '–']
     """
     if math.isnan(share):
         return "–"
-    if share < 0:
+    if share < -0.005:
         return f"−{-100 * share:.0f} %"
-    return f"{100 * share:.1f} %" if share > 0.99 else f"{100 * share:.0f} %"
+    if 0.99 < share < 1:
+        return ">99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
+    return f"{100 * max(share, 0.0):.0f} %"
 
 
 def repeated(found: Residuals, names: Sequence[str]) -> str:
-    """Autocorrelation of every channel's errors by lag, coloured; the worst channels first if there are many."""
-    order = np.arange(len(names))
+    """Autocorrelation of every channel's errors by lag, coloured; of many channels the worst first."""
+    order = list(range(len(names)))
     if len(names) > SHOWN:
-        order = np.argsort(-np.nanmax(np.nan_to_num(np.abs(found.repeat)), axis=0), kind="stable")
-    rows = [_repeats(found, int(i), names[i]) for i in order]
+        order = np.argsort(-np.nan_to_num(np.abs(found.repeat)).max(axis=0), kind="stable").tolist()
+    rows = [_repeats(found, i, names[i]) for i in order]
     return _folded(rows, lambda some: _heat(some, len(found.repeat)), "channel")
 
 
@@ -214,80 +228,83 @@ def _heat(rows: Iterable[str], lags: int) -> str:
 
 
 def _repeats(found: Residuals, i: int, name: str) -> str:
-    sure = limits.SURE / math.sqrt(max(int(found.counted[i]), 1))
-    cells = "".join(_cell(float(value), sure) for value in found.repeat[:, i])
+    error = 1 / math.sqrt(max(int(found.counted[i]), 1))
+    cells = "".join(_cell(float(value), error) for value in found.repeat[:, i])
     return f'<tr><th scope="row">{escape(name)}</th>{cells}<td>{_p(float(found.ljung_box[i]))}</td></tr>'
 
 
-def _cell(value: float, sure: float) -> str:
+def _cell(value: float, error: float) -> str:
     if math.isnan(value):
         return "<td>–</td>"
-    mark = " sure" if abs(value) > sure else ""
-    text = f"{abs(value):.2f}".lstrip("0") if abs(value) < 1 else "1.0"
-    sign = "−" if value < 0 and text != ".00" else ""
-    return f'<td class="{_shade(value)}{mark}">{sign}{text}</td>'
+    mark = " certain" if abs(value) > limits.SURE * error else ""
+    return f'<td class="{shade(value, error)}{mark}">{_signed(value)}</td>'
 
 
-def _shade(value: float) -> str:
-    """The class of a cell's colour.
+def shade(value: float, error: float) -> str:
+    """The class of a cell's colour; none for what is small or within two standard errors.
 
     Examples:
-        >>> [_shade(v) for v in (0.01, -0.04, 0.07, -0.3, 0.9)]
-        ['near', 'near', 'up1', 'down3', 'up4']
+        >>> [shade(v, 0.03) for v in (0.04, 0.055, -0.09, 0.15, -0.3, 0.9)]
+        ['near', 'near', 'down1', 'up2', 'down3', 'up4']
     """
     level = int(np.searchsorted(SHADES, abs(value)))
-    return "near" if level == 0 else f"{'up' if value > 0 else 'down'}{level}"
+    if level == 0 or abs(value) < 2 * error:
+        return "near"
+    return f"{'up' if value > 0 else 'down'}{level}"
 
 
 def _p(value: float) -> str:
     return "–" if math.isnan(value) else "&lt;0.001" if value < UNLIKELY else f"{value:.3f}"
 
 
-def _folded(rows: Sequence[str], draw: Draw, noun: str) -> str:
+def _folded(rows: Sequence[str], draw: Draw, noun: str, note: str = "") -> str:
     """A table of the first rows, and the others behind a click."""
     if len(rows) <= SHOWN:
         return draw(rows)
-    more = count(len(rows) - SHOWN, f"more {noun}")
+    more = f"{count(len(rows) - SHOWN, f'more {noun}')}{note}"
     return f"{draw(rows[:SHOWN])}<details><summary>{more}</summary>{draw(rows[SHOWN:])}</details>"
 
 
 def sensors(found: Identified) -> str:
     """Everything about every channel, in the plant's order; a sensor's channels stand together."""
     plant = found.plant
-    several = plant.m > plant.n_sensors
+    named = plant.channel_names != plant.sensor_names
     head = (
         "Sensor",
-        *(("Channel",) if several else ()),
+        *(("Channel",) if named else ()),
         "Unit",
         "Operating point",
         "Normal variation",
         "Noise σ",
         "Can be checked",
-        "Explained (at least)",
+        "Explained",
         "Own noise",
         "Errors over claimed",
         "Repeat",
         "Ljung-Box p",
         "Shift, sd",
     )
-    rows = [row for i, one in enumerate(found.verdict.sensors) for row in _sensor(found, i, one, several)]
+    rows = [row for i, one in enumerate(found.verdict.sensors) for row in _sensor(found, i, one, named)]
     kind = "scroll tall" if plant.m > SHOWN else "scroll"
-    return scroll(table(head, rows), "Sensors").replace('class="scroll"', f'class="{kind}"', 1)
+    drawn = table(head, rows).replace("<table>", '<table class="sensors">', 1)
+    return scroll(drawn, "Sensors").replace('class="scroll"', f'class="{kind}"', 1)
 
 
-def _sensor(found: Identified, i: int, one: SensorEvidence, several: bool) -> Iterator[str]:
+def _sensor(found: Identified, i: int, one: SensorEvidence, named: bool) -> Iterator[str]:
     plant, judged = found.plant, found.verdict.residuals
     channels = range(plant.m)[plant.channels_of(i)]
     span = f' rowspan="{len(channels)}"' if len(channels) > 1 else ""
     scope = ' scope="rowgroup"' if len(channels) > 1 else ' scope="row"'
     verdict = '<span class="verdict yes">yes</span>' if one.verifiable else '<span class="soft">no</span>'
-    whole = f"{_share(one.explained)} ({_share(one.explained_least)})"
     for k in channels:
         first = k == channels[0]
         name = f"<th{scope}{span}>{escape(one.name)}{_tags(one, found)}</th>" if first else ""
-        channel = f"<td>{escape(plant.channel_names[k])}</td>" if several else ""
+        own = plant.channel_names[k] if len(channels) > 1 or plant.channel_names[k] != one.name else ""
+        channel = f"<td>{escape(own)}</td>" if named else ""
         shared = (
-            f"<td{span}>{verdict}</td><td{span}>{whole}</td><td{span}>{_share(one.noise)}</td>" if first else ""
+            f"<td{span}>{verdict}</td><td{span}>{_share(one.explained)}</td><td{span}>{_share(one.noise)}</td>"
+            if first
+            else ""
         )
         yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{_errors(judged, k)}</tr>"
 
@@ -297,13 +314,15 @@ def _engineering(plant: Plant, k: int) -> str:
     noise = math.sqrt(float(plant.R[k, k])) * scale
     return (
         f"<td>{escape(plant.units[k])}</td><td>{to_scale(float(plant.offset[k]), scale)}</td>"
-        f"<td>{compact(scale)}</td><td>{compact(noise)}</td>"
+        f"<td>{amount(scale)}</td><td>{amount(noise)}</td>"
     )
 
 
 def _errors(found: Residuals, k: int) -> str:
     variance, p = float(found.variance[k]), float(found.ljung_box[k])
-    far = (variance > limits.TOO_LARGE.inadequate) or (1 / max(variance, 1e-300) > limits.TOO_SMALL.inadequate)
+    far = (variance > limits.TOO_LARGE.inadequate) or (
+        1 / max(variance, 1e-300) > limits.TOO_SMALL.inadequate
+    )
     cells = (
         (compact(variance), far),
         (_signed(float(found.repeat[0, k])), abs(found.repeat[0, k]) > limits.REPEATS_WORST.usable),
@@ -314,7 +333,20 @@ def _errors(found: Residuals, k: int) -> str:
 
 
 def _signed(value: float) -> str:
-    return "–" if math.isnan(value) else f"{'−' if value < 0 else ''}{abs(value):.2f}"
+    if math.isnan(value):
+        return "–"
+    text = f"{abs(value):.2f}"
+    return f"−{text}" if value < 0 and text != "0.00" else text
+
+
+def amount(value: float) -> str:
+    """A positive number in three digits, without an exponent where it can be.
+
+    Examples:
+        >>> [amount(v) for v in (34.812, 0.0026, 12345.0, 1e-9, 0.0)]
+        ['34.8', '0.00260', '12,345', '1e-9', '0']
+    """
+    return to_scale(value, value / 10) if 1e-5 <= value < 1e7 else compact(value)
 
 
 def to_scale(value: float, scale: float) -> str:
@@ -343,14 +375,19 @@ def facts(found: Identified, source: str | os.PathLike[str] | None) -> str:
             "Learned from": f"{count(found.samples, 'sample')}{every}",
             "Judged by": count(judged.samples, "sample") + (f" in {parts} segments" if parts > 1 else ""),
             "Readings missing": _share(found.missing) if found.missing else "none",
-            "Sensors": f"{plant.n_sensors:,}" + (f" with {plant.m} channels" if plant.m > plant.n_sensors else ""),
+            "Sensors": f"{plant.n_sensors:,}"
+            + (f" with {plant.m} channels" if plant.m > plant.n_sensors else ""),
             "Inputs": f"{plant.n_inputs:,}" if plant.n_inputs else "none",
             "States": f"{plant.n:,}",
             "Largest |eigenvalue| of A": f"{largest:.4f}",
             "Slowest time constant": constant(largest, plant.dt),
             "Past used": count(found.search.past, "sample"),
-            "Likelihood of the last fit": f"{climb[0]:.3f} → {climb[-1]:.3f} nats per sample" if climb else "",
-            "Noise raised by": f"{found.noise_factor - 1:.0%}" if found.noise_factor != 1 else "nothing",
+            "Likelihood of the last fit": f"{climb[0]:.3f} → {climb[-1]:.3f} nats per sample".replace(
+                "-", "−"
+            )
+            if climb
+            else "",
+            "Noise raised by": _share(found.noise_factor - 1) if found.noise_factor != 1 else "nothing",
             "Source": "" if source is None else os.fspath(source),
         }
     )
