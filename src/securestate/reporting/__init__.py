@@ -1,4 +1,4 @@
-"""What an engineer wants to see: a run in numbers; a run, a comparison, an analysis or a model in one HTML file."""
+"""What an engineer wants to see: a run in numbers; a run, comparison, analysis or model in one HTML file."""
 
 from securestate.reporting.comparison import write_comparison
 from securestate.reporting.html import write_report

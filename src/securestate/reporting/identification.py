@@ -27,11 +27,13 @@ MARKS = {"good": "✓", "usable": "!", "inadequate": "✕"}
 WARNING = '<span class="warning">– by a model that is inadequate: do not rely on it</span>'
 """Beside what an inadequate model says of sensors."""
 
-LEGEND = (
-    '<p class="legend"><span><span class="key free"></span>innovations form: one noise for all channels</span>'
+HOW = (
+    '<p class="hint">How likely models of each size find samples kept back from fitting: higher is better. '
+    "The smallest that the data cannot tell from the best is chosen.</p>"
+    '<p class="legend"><span><span class="key free"></span>innovations form: one noise for all</span>'
     '<span><span class="key own"></span>independent noises: one per sensor, as a plant needs</span></p>'
 )
-"""Of the drawing of orders."""
+"""How to read the drawing of orders."""
 
 
 def write_identification(
@@ -76,6 +78,7 @@ def render(
         remarks=_remarks(found),
         why=tables.why(judged, channels) if judged.samples else "",
         counted=_counted(found),
+        others="the other sensors and the inputs" if found.plant.n_inputs else "the other sensors",
         checked=tables.checked(found),
         predicts=_predicts(judged) if judged.samples else "<p>There is no sample to judge the model by.</p>",
         repeated=tables.repeated(judged, channels),
@@ -99,8 +102,8 @@ def _remarks(found: Identified) -> str:
     said = list(found.remarks)
     if found.noise_factor != 1:
         said.append(
-            f"The noises of the plant were raised by {100 * (found.noise_factor - 1):.0f} %, as variances, so "
-            "that it claims errors as large as they are on new data."
+            f"The noises of the plant were raised {tables.raised(found.noise_factor)}, as variances, "
+            "so that it claims errors as large as they are on new data."
         )
     if not said:
         return ""
@@ -153,7 +156,7 @@ def _orders(search: OrderSearch) -> str:
     )
     numbers = scroll(table(("States", "Innovations form", "Independent noises"), rows), "Orders as numbers")
     return (
-        f"{LEGEND}<figure>{figures.orders(search)}</figure>{paragraphs(said)}"
+        f"{HOW}<figure>{figures.orders(search)}</figure>{paragraphs(said)}"
         f"<details><summary>The orders as numbers</summary>{numbers}</details>"
     )
 
@@ -163,13 +166,13 @@ def _cost(search: OrderSearch) -> Iterator[str]:
     if search.cost > 0:
         yield (
             f"Independent noises lose {search.cost:.2g} nats per sample against the best innovations form. "
-            "They are needed all the same: with a noise that sensors share, the lie of one would look like the "
-            "noise of another."
+            "They are needed all the same: with a noise that sensors share, the lie of one would look "
+            "like the noise of another."
         )
     else:
         yield (
-            f"Independent noises lose nothing: they predict by {-search.cost:.2g} nats per sample better than "
-            "the best innovations form."
+            f"Independent noises lose nothing: they predict by {-search.cost:.2g} nats per sample better "
+            "than the best innovations form."
         )
 
 

@@ -218,14 +218,14 @@ def _sizes(scale: Scale) -> str:
     ticks = [tick for tick in _nice(0, scale.right, 4) if tick < 0.97 * scale.right]
     return "".join(
         f'<text x="{scale.x(tick)}" y="{HEIGHT - 8}" text-anchor="{"middle" if tick else "start"}">'
-        f"{tick:g}</text>"
+        f"{_number(tick)}</text>"
         for tick in ticks
     )
 
 
 def orders(search: OrderSearch) -> str:
     """Log-likelihood of samples kept back by the number of states, of both forms, the chosen one marked."""
-    curves = {"free": search.innovations, "own": search.independent}
+    curves = {"free": _finite(search.innovations), "own": _finite(search.independent)}
     values = [value for curve in curves.values() for value in curve.values()]
     most = max(n for curve in curves.values() for n in curve)
     low, high = min(values), max(values)
@@ -248,6 +248,10 @@ def orders(search: OrderSearch) -> str:
     )
     title = f"Log-likelihood of samples kept back by number of states; {search.order} chosen"
     return _plot(title, scale, f"{_across(scale)}{mark}{lines}{numbers}")
+
+
+def _finite(curve: Mapping[int, float]) -> dict[int, float]:
+    return {n: value for n, value in curve.items() if np.isfinite(value)}
 
 
 def _curve(curve: Mapping[int, float], scale: Scale, kind: str, chosen: int) -> str:
@@ -280,7 +284,7 @@ def _plot(title: str, scale: Scale, inside: str) -> str:
 
 
 def _number(value: float) -> str:
-    return f"{value:g}".replace("-", "−")
+    return (f"{value:g}" if abs(value) < 1e5 else compact(value)).replace("-", "−")
 
 
 def _drawing(title: str, inside: str) -> str:

@@ -1,4 +1,4 @@
-"""The tables of an identification's report: who can be checked, why this grade, what repeats, every sensor."""
+"""The tables of an identification's report: who can be checked, why this grade, what repeats, sensors."""
 
 from __future__ import annotations
 
@@ -50,6 +50,7 @@ class Criterion:
         limits: from where on a model is only usable, or inadequate.
         ideal: the number of a perfect model.
         unit: of the limits as they are shown: "", "%", "sd".
+        least: the limits from below, upside down, if there are any.
     """
 
     name: str
@@ -58,6 +59,7 @@ class Criterion:
     limits: Limits
     ideal: float = 0.0
     unit: str = ""
+    least: Limits | None = None
 
 
 def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
@@ -70,7 +72,7 @@ def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
         1 / max(found.size, 1e-300) if small else found.size,
         limits.TOO_SMALL if small else limits.TOO_LARGE,
         1.0,
-        "inverse" if small else "",
+        least=limits.TOO_SMALL,
     )
     yield Criterion(
         "Samples beyond the limit for 5 %", rate(found.exceed), found.exceed, limits.EXCEED, unit="%"
@@ -105,28 +107,36 @@ def _worst(name: str, size: Float, names: Sequence[str], of: Limits, unit: str) 
 
 def why(found: Residuals, names: Sequence[str]) -> str:
     """Every number the grade rests on, on a gauge of good, usable and inadequate."""
-    head = ("What is looked at", "Good, usable, inadequate", "Here", "Good up to", "Usable up to")
+    head = ("What is looked at", "Good, usable, inadequate", "Here", "Good", "Usable")
     drawn = table(head, (_criterion(one) for one in criteria(found, names)))
     return scroll(drawn.replace("<table>", '<table class="gauges">', 1), "Why this grade")
 
 
 def _criterion(one: Criterion) -> str:
-    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
     kind = str(one.limits.grade(one.value) or limits.Grade.GOOD)
+    good, usable = _ranges(one)
     return (
         f'<tr><th scope="row">{escape(one.name)}</th><td class="gauge">{_gauge(one, kind)}</td>'
-        f'<td class="{kind}">{one.text}</td>'
-        f"<td>{_limit(good, one.unit)}</td>"
-        f"<td>{_limit(usable, one.unit) if good < usable else ''}</td></tr>"
+        f'<td class="{kind}">{one.text}</td><td>{good}</td><td>{usable}</td></tr>'
     )
 
 
-def _limit(value: float, unit: str) -> str:
+def _ranges(one: Criterion) -> tuple[str, str]:
+    """Which numbers are good, and which are usable; empty if there are none in between."""
+    if one.least is not None:
+        most = limits.TOO_LARGE
+        return (
+            f"{1 / one.least.usable:.2f} to {most.usable:.2f}",
+            f"{1 / one.least.inadequate:.2f} to {most.inadequate:.2f}",
+        )
+    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
+    return _up_to(good, one.unit), _up_to(usable, one.unit) if good < usable else ""
+
+
+def _up_to(value: float, unit: str) -> str:
     if math.isinf(value):
-        return "no limit"
-    if unit == "inverse":
-        return f"down to {1 / value:.2f}"
-    return f"{100 * value:.0f} %" if unit == "%" else f"{value:g}{f' {unit}' if unit else ''}"
+        return "any"
+    return f"up to {100 * value:.0f} %" if unit == "%" else f"up to {value:g} {unit}".rstrip()
 
 
 def _gauge(one: Criterion, kind: str) -> str:
@@ -156,7 +166,7 @@ def checked(found: Identified) -> str:
     order = sorted(found.verdict.sensors, key=lambda s: (not s.verifiable, -_or_zero(s.explained_least)))
     rows = [_bar(one, found) for one in order]
     unable = sum(not one.verifiable for one in order[SHOWN:])
-    return _folded(rows, _bars, "sensor", f", {unable:,} of them without a check" if unable else "")
+    return _folded(rows, _bars, "sensor", f", {unable:,} of which cannot be checked" if unable else "")
 
 
 def _bars(rows: Iterable[str]) -> str:
@@ -272,7 +282,7 @@ def sensors(found: Identified) -> str:
     head = (
         "Sensor",
         *(("Channel",) if named else ()),
-        "Unit",
+        *(("Unit",) if any(plant.units) else ()),
         "Operating point",
         "Normal variation",
         "Noise σ",
@@ -312,8 +322,9 @@ def _sensor(found: Identified, i: int, one: SensorEvidence, named: bool) -> Iter
 def _engineering(plant: Plant, k: int) -> str:
     scale = float(plant.scale[k])
     noise = math.sqrt(float(plant.R[k, k])) * scale
+    unit = f"<td>{escape(plant.units[k])}</td>" if any(plant.units) else ""
     return (
-        f"<td>{escape(plant.units[k])}</td><td>{to_scale(float(plant.offset[k]), scale)}</td>"
+        f"{unit}<td>{to_scale(float(plant.offset[k]), scale)}</td>"
         f"<td>{amount(scale)}</td><td>{amount(noise)}</td>"
     )
 
@@ -387,10 +398,22 @@ def facts(found: Identified, source: str | os.PathLike[str] | None) -> str:
             )
             if climb
             else "",
-            "Noise raised by": _share(found.noise_factor - 1) if found.noise_factor != 1 else "nothing",
+            "Noise of the plant": f"raised {raised(found.noise_factor)}"
+            if found.noise_factor != 1
+            else "as fitted",
             "Source": "" if source is None else os.fspath(source),
         }
     )
+
+
+def raised(factor: float) -> str:
+    """By how much.
+
+    Examples:
+        >>> raised(1.114), raised(461332.2)
+        ('by 11 %', '461,332 times')
+    """
+    return f"by {100 * (factor - 1):.0f} %" if factor < 2 else f"{factor:,.{0 if factor > 10 else 1}f} times"
 
 
 def modes(found: Identified) -> str:
