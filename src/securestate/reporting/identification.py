@@ -134,7 +134,7 @@ def _predicts(judged: Residuals) -> str:
             *(x.tolist() for x in (large.first, large.last, large.value, *large.band)), strict=True
         )
     )
-    numbers = scroll(table(("Samples", "Errors", "95 % of good models"), rows), "Errors by stretch")
+    numbers = scroll(table(("Samples", "Errors", "95 of 100 perfect models"), rows), "Errors by stretch")
     return (
         '<div class="pair"><figure><figcaption>Over the record</figcaption>'
         f'{figures.over_time(judged)}<p class="hint below">{caption}</p></figure>'

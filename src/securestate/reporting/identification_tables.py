@@ -364,13 +364,14 @@ def to_scale(value: float, scale: float) -> str:
     """A number with as many decimals as its normal variation needs.
 
     Examples:
-        >>> to_scale(3662.1988, 33.9), to_scale(0.25055, 0.0301), to_scale(-2.5, 0.4), to_scale(1e9, 3e7)
-        ('3,662', '0.251', '−2.50', '1e9')
+        >>> to_scale(3662.1988, 33.9), to_scale(0.25055, 0.0301), to_scale(-2.5, 0.4), to_scale(-0.01, 4.0)
+        ('3,662', '0.251', '−2.50', '0.0')
     """
     if abs(value) >= 1e7 or scale < 1e-7:
         return compact(value).replace("-", "−", 1) if value < 0 else compact(value)
     decimals = max(0, 1 - math.floor(math.log10(scale)))
-    return f"{'−' if value < 0 else ''}{abs(value):,.{decimals}f}"
+    text = f"{abs(value):,.{decimals}f}"
+    return f"−{text}" if value < 0 and text.strip("0.") else text
 
 
 def facts(found: Identified, source: str | os.PathLike[str] | None) -> str:
