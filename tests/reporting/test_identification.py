@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from securestate.identification import Grade, Identified, Problem, identify
+from securestate.reporting import identification_facts as facts
 from securestate.reporting import identification_figures as figures
-from securestate.reporting import identification_tables as tables
 from securestate.reporting import write_identification
 from securestate.reporting.identification import render
+from securestate.reporting.identification_criteria import criteria
 from tests.reporting.test_html import NASTY, Reader
-from tests.reporting.test_resilience import Balance, cells, section, text
-from tests.reporting.test_resilience import tables as tables_of
+from tests.reporting.test_resilience import Balance, cells, section, tables, text
 
 DT = 30.0
 
@@ -95,7 +95,7 @@ def graded(found: Identified, grade: Grade, *problems: Problem) -> Identified:
 
 
 def rows(html: str, heading: str, which: int = 0) -> list[list[str]]:
-    return [cells(row) for row in tables_of(section(html, heading))[which][1:]]
+    return [cells(row) for row in tables(section(html, heading))[which][1:]]
 
 
 def test_every_page_is_well_formed_loads_nothing_and_runs_nothing(one: Identified) -> None:
@@ -143,7 +143,7 @@ def test_raised_noise_is_said(found: Identified) -> None:
 
 
 def test_every_sensor_has_a_bar_and_those_without_a_check_are_grey(one: Identified) -> None:
-    _, *bars = tables_of(section(render(one), "Who can be checked"))[0]
+    _, *bars = tables(section(render(one), "Who can be checked"))[0]
     able = set(one.verdict.verifiable)
     assert len(bars) == one.plant.n_sensors
     for row, number in zip(bars, range(len(bars)), strict=True):
@@ -155,7 +155,7 @@ def test_every_sensor_has_a_bar_and_those_without_a_check_are_grey(one: Identifi
 
 def test_bars_are_as_long_as_what_is_explained(found: Identified) -> None:
     evidence = {sensor.name: sensor for sensor in found.verdict.sensors}
-    _, *bars = tables_of(section(render(found), "Who can be checked"))[0]
+    _, *bars = tables(section(render(found), "Who can be checked"))[0]
     for row in bars:
         of = evidence[cells(row)[0]]
         drawn = dict(re.findall(r'<rect class="(\w+)" width="([\d.]+)%"', row))
@@ -205,7 +205,7 @@ def test_a_suspect_is_marked(found: Identified) -> None:
 
 def test_criteria_beyond_their_limits_are_the_reasons_of_the_grade(one: Identified) -> None:
     judged = one.verdict.residuals
-    grades = [of.limits.grade(of.value) for of in tables.criteria(judged, one.plant.channel_names)]
+    grades = [of.limits.grade(of.value) for of in criteria(judged, one.plant.channel_names)]
     if one.verdict.grade == Grade.GOOD:
         assert set(grades) == {None}
     else:
@@ -217,7 +217,7 @@ def test_what_may_be_chance_is_no_reason(found: Identified) -> None:
     quiet = replace(found.verdict.residuals, counted=np.full(5, 30), shift=np.full(5, 0.6))
     loud = replace(quiet, counted=np.full(5, 300))
     for judged, said in ((quiet, "none beyond chance"), (loud, "0.60 sd, a")):
-        told = {of.name: of.text for of in tables.criteria(judged, NAMES)}
+        told = {of.name: of.text for of in criteria(judged, NAMES)}
         assert told["Predictions off on average"] == said
 
 
@@ -273,7 +273,7 @@ def test_the_histogram_counts_every_sample_and_expects_as_many(one: Identified) 
 
 def test_every_autocorrelation_is_shown_and_what_is_certain_is_framed(one: Identified) -> None:
     judged = one.verdict.residuals
-    _, *heat = tables_of(section(render(one), "Are errors white"))[0]
+    _, *heat = tables(section(render(one), "Are errors white"))[0]
     assert len(heat) == one.plant.m
     for row, k in zip(heat, range(one.plant.m), strict=True):
         shown = [float(cell.replace("−", "-")) for cell in cells(row)[1:11]]
@@ -309,9 +309,9 @@ def test_the_slowest_mode_is_a_time(found: Identified) -> None:
     size = float(np.max(np.abs(np.linalg.eigvals(found.plant.A))))
     html = section(render(found), "How it was made")
     assert f"<dd>{size:.4f}</dd>" in html
-    assert f"<dd>{tables.duration(-DT / np.log(size), DT)}</dd>" in html
-    assert tables.constant(1.0, DT) == "never fades"
-    assert tables.duration(600.0, DT) == "10.0 min"
+    assert f"<dd>{facts.duration(-DT / np.log(size), DT)}</dd>" in html
+    assert facts.constant(1.0, DT) == "never fades"
+    assert facts.duration(600.0, DT) == "10.0 min"
 
 
 def test_drawings_say_in_words_what_they_show(found: Identified) -> None:

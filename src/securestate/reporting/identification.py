@@ -11,9 +11,11 @@ from string import Template
 from typing import TYPE_CHECKING
 
 from securestate._words import count
+from securestate.reporting import identification_facts as facts
 from securestate.reporting import identification_figures as figures
 from securestate.reporting import identification_tables as tables
 from securestate.reporting.comparison_tables import scroll
+from securestate.reporting.identification_criteria import why
 from securestate.reporting.page import asset, compact, paragraphs, table, write_page
 
 if TYPE_CHECKING:
@@ -76,7 +78,7 @@ def render(
         reasons=_reasons(found, others),
         learned=escape(found.headline),
         remarks=_remarks(found),
-        why=tables.why(judged, channels) if judged.samples else "",
+        why=why(judged, channels) if judged.samples else "",
         counted=_counted(found),
         others="the other sensors and the inputs" if found.plant.n_inputs else "the other sensors",
         checked=tables.checked(found),
@@ -85,8 +87,8 @@ def render(
         chance=f"{2 / max(1, int(judged.counted.max(initial=1))) ** 0.5:.2f}",
         orders=_orders(found.search),
         sensors=tables.sensors(found),
-        facts=tables.facts(found, source),
-        modes=tables.modes(found),
+        facts=facts.facts(found, source),
+        modes=facts.modes(found),
         version=escape(version("securestate")),
     )
 
@@ -102,7 +104,7 @@ def _remarks(found: Identified) -> str:
     said = list(found.remarks)
     if found.noise_factor != 1:
         said.append(
-            f"The noises of the plant were raised {tables.raised(found.noise_factor)}, as variances, "
+            f"The noises of the plant were raised {facts.raised(found.noise_factor)}, as variances, "
             "so that it claims errors as large as they are on new data."
         )
     if not said:

@@ -1,11 +1,9 @@
-"""The tables of an identification's report: who can be checked, why this grade, what repeats, sensors."""
+"""The tables of an identification's report: who can be checked, what repeats, and every sensor."""
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING
 
@@ -14,14 +12,12 @@ from numpy.typing import NDArray
 
 from securestate._words import count
 from securestate.identification import verdict as limits
-from securestate.reporting.clock import UNITS
-from securestate.reporting.comparison_tables import rate, scroll
-from securestate.reporting.page import compact, definitions, table
+from securestate.reporting.comparison_tables import scroll
+from securestate.reporting.page import compact, table
 
 if TYPE_CHECKING:
     from securestate.identification import Identified, SensorEvidence
     from securestate.identification.residuals import Residuals
-    from securestate.identification.verdict import Limits
     from securestate.plant import Plant
 
 Float = NDArray[np.float64]
@@ -30,135 +26,11 @@ Draw = Callable[[Iterable[str]], str]
 SHOWN = 40
 """At most so many sensors or channels stand open in a table; the others are folded away."""
 
-WIDE, GOOD_END, USABLE_END = 100, 50, 80
-"""Of a gauge: where it ends, where good ends, where usable ends."""
-
 SHADES = (0.05, 0.1, 0.2, 0.4)
 """Upper ends of the colours of autocorrelations; below the first, or within chance, there is none."""
 
 UNLIKELY = 0.001
 """A p-value below this stands out."""
-
-
-@dataclass(frozen=True)
-class Criterion:
-    """One number that a grade rests on.
-
-    Attributes:
-        name: what it is. text: the number as it is shown, with the channel it belongs to, HTML.
-        value: what is compared with the limits; never below `ideal`.
-        limits: from where on a model is only usable, or inadequate.
-        ideal: the number of a perfect model.
-        unit: of the limits as they are shown: "", "%", "sd".
-        least: the limits from below, upside down, if there are any.
-    """
-
-    name: str
-    text: str
-    value: float
-    limits: Limits
-    ideal: float = 0.0
-    unit: str = ""
-    least: Limits | None = None
-
-
-def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
-    """What a verdict looks at, in its order; what may be chance counts as nothing, as there."""
-    error = 1 / np.sqrt(np.maximum(found.counted, 1))
-    small = found.size < 1
-    yield Criterion(
-        "Errors over what the model says, as a variance",
-        compact(found.size),
-        1 / max(found.size, 1e-300) if small else found.size,
-        limits.TOO_SMALL if small else limits.TOO_LARGE,
-        1.0,
-        least=limits.TOO_SMALL,
-    )
-    yield Criterion(
-        "Samples beyond the limit for 5 %", rate(found.exceed), found.exceed, limits.EXCEED, unit="%"
-    )
-    first = np.abs(np.nan_to_num(found.repeat[0]))
-    sure = np.where(first > limits.SURE * error, first, 0.0)
-    repeats = found.repeats if sure.any() else 0.0
-    yield Criterion(
-        "Errors repeat from sample to sample, all channels", f"{repeats:.2f}", repeats, limits.REPEATS
-    )
-    yield _worst("The same, worst channel", sure, names, limits.REPEATS_WORST, "")
-    for name, values, errors in (
-        ("Plant away from its operating point", found.level, found.level_error * math.sqrt(2)),
-        ("Predictions off on average", found.shift, error),
-        ("Errors drift within the record", found.change, 2 * error),
-    ):
-        size = np.abs(np.nan_to_num(values))
-        yield _worst(name, np.where(size > limits.SURE * errors, size, 0.0), names, limits.SHIFT, "sd")
-    worst = found.worst_block / max(found.median_block, 0.25)
-    yield Criterion("Worst part of the record over the median", compact(worst), worst, limits.COLLAPSE, 1.0)
-
-
-def _worst(name: str, size: Float, names: Sequence[str], of: Limits, unit: str) -> Criterion:
-    i = int(np.argmax(size))
-    told = (
-        f"{size[i]:.2f}{f' {unit}' if unit else ''}, {escape(names[i])}"
-        if size[i] > 0
-        else "none beyond chance"
-    )
-    return Criterion(name, told, float(size[i]), of, unit=unit)
-
-
-def why(found: Residuals, names: Sequence[str]) -> str:
-    """Every number the grade rests on, on a gauge of good, usable and inadequate."""
-    head = ("What is looked at", "Good, usable, inadequate", "Here", "Good", "Usable")
-    drawn = table(head, (_criterion(one) for one in criteria(found, names)))
-    return scroll(drawn.replace("<table>", '<table class="gauges">', 1), "Why this grade")
-
-
-def _criterion(one: Criterion) -> str:
-    kind = str(one.limits.grade(one.value) or limits.Grade.GOOD)
-    good, usable = _ranges(one)
-    return (
-        f'<tr><th scope="row">{escape(one.name)}</th><td class="gauge">{_gauge(one, kind)}</td>'
-        f'<td class="{kind}">{one.text}</td><td>{good}</td><td>{usable}</td></tr>'
-    )
-
-
-def _ranges(one: Criterion) -> tuple[str, str]:
-    """Which numbers are good, and which are usable; empty if there are none in between."""
-    if one.least is not None:
-        most = limits.TOO_LARGE
-        return (
-            f"{1 / one.least.usable:.2f} to {most.usable:.2f}",
-            f"{1 / one.least.inadequate:.2f} to {most.inadequate:.2f}",
-        )
-    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
-    return _up_to(good, one.unit), _up_to(usable, one.unit) if good < usable else ""
-
-
-def _up_to(value: float, unit: str) -> str:
-    if math.isinf(value):
-        return "any"
-    return f"up to {100 * value:.0f} %" if unit == "%" else f"up to {value:g} {unit}".rstrip()
-
-
-def _gauge(one: Criterion, kind: str) -> str:
-    """Green, amber and red stretches, and a mark where the number stands."""
-    good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
-    green = GOOD_END if good < usable else USABLE_END
-    amber = USABLE_END if math.isfinite(usable) else WIDE
-    if not one.value > good:
-        place = green * max(0.0, one.value - one.ideal) / (good - one.ideal)
-    elif one.value > usable:
-        place = amber + (WIDE - amber) * (1 - usable / one.value)
-    else:
-        share = (one.value - good) / (usable - good) if math.isfinite(usable) else 1 - good / one.value
-        place = green + (amber - green) * share
-    zones = ((0, green, "good"), (green, amber, "usable"), (amber, WIDE, "inadequate"))
-    drawn = "".join(
-        f'<rect class="zone {name}" x="{a}%" width="{b - a}%" y="8" height="6"/>'
-        for a, b, name in zones
-        if b > a
-    )
-    at = min(97.0, max(3.0, place))
-    return f'<svg aria-hidden="true">{drawn}<circle class="{kind}" cx="{at:.1f}%" cy="11" r="6"/></svg>'
 
 
 def checked(found: Identified) -> str:
@@ -192,7 +64,7 @@ def _bar(one: SensorEvidence, found: Identified) -> str:
     return (
         f'<tr class="{"checked" if one.verifiable else "unchecked"}">'
         f'<th scope="row">{escape(one.name)}{_tags(one, found)}</th><td class="bar">{drawn}</td>'
-        f"<td>{_share(one.explained)}</td><td>{_share(one.explained_least)}</td><td>{said}</td></tr>"
+        f"<td>{portion(one.explained)}</td><td>{portion(one.explained_least)}</td><td>{said}</td></tr>"
     )
 
 
@@ -207,11 +79,11 @@ def _or_zero(share: float) -> float:
     return min(1.0, max(0.0, share)) if math.isfinite(share) else 0.0
 
 
-def _share(share: float) -> str:
+def portion(share: float) -> str:
     """In whole per cent; a dash if it is not known.
 
     Examples:
-        >>> [_share(s) for s in (0.523, 0.998, 0.9999, 1.0, -0.05, -0.001, float("nan"))]
+        >>> [portion(s) for s in (0.523, 0.998, 0.9999, 1.0, -0.05, -0.001, float("nan"))]
         ['52 %', '99.8 %', '>99.9 %', '100 %', '−5 %', '0 %', '–']
     """
     if math.isnan(share):
@@ -312,7 +184,7 @@ def _sensor(found: Identified, i: int, one: SensorEvidence, named: bool) -> Iter
         own = plant.channel_names[k] if len(channels) > 1 or plant.channel_names[k] != one.name else ""
         channel = f"<td>{escape(own)}</td>" if named else ""
         shared = (
-            f"<td{span}>{verdict}</td><td{span}>{_share(one.explained)}</td><td{span}>{_share(one.noise)}</td>"
+            f"<td{span}>{verdict}</td><td{span}>{portion(one.explained)}</td><td{span}>{portion(one.noise)}</td>"
             if first
             else ""
         )
@@ -372,87 +244,3 @@ def to_scale(value: float, scale: float) -> str:
     decimals = max(0, 1 - math.floor(math.log10(scale)))
     text = f"{abs(value):,.{decimals}f}"
     return f"−{text}" if value < 0 and text.strip("0.") else text
-
-
-def facts(found: Identified, source: str | os.PathLike[str] | None) -> str:
-    """What it was learned from, and what came out."""
-    plant, judged = found.plant, found.verdict.residuals
-    values = np.linalg.eigvals(plant.A)
-    largest = float(np.max(np.abs(values), initial=0.0))
-    every = "" if plant.dt == 1.0 else f" of {_seconds(plant.dt)} ({_seconds(found.samples * plant.dt)})"
-    parts = sum(len(part) > 0 for part in judged.segments)
-    climb = found.likelihoods
-    return definitions(
-        {
-            "Learned from": f"{count(found.samples, 'sample')}{every}",
-            "Judged by": count(judged.samples, "sample") + (f" in {parts} segments" if parts > 1 else ""),
-            "Readings missing": _share(found.missing) if found.missing else "none",
-            "Sensors": f"{plant.n_sensors:,}"
-            + (f" with {plant.m} channels" if plant.m > plant.n_sensors else ""),
-            "Inputs": f"{plant.n_inputs:,}" if plant.n_inputs else "none",
-            "States": f"{plant.n:,}",
-            "Largest |eigenvalue| of A": f"{largest:.4f}",
-            "Slowest time constant": constant(largest, plant.dt),
-            "Past used": count(found.search.past, "sample"),
-            "Likelihood of the last fit": f"{climb[0]:.3f} → {climb[-1]:.3f} nats per sample".replace(
-                "-", "−"
-            )
-            if climb
-            else "",
-            "Noise of the plant": f"raised {raised(found.noise_factor)}"
-            if found.noise_factor != 1
-            else "as fitted",
-            "Source": "" if source is None else os.fspath(source),
-        }
-    )
-
-
-def raised(factor: float) -> str:
-    """By how much.
-
-    Examples:
-        >>> raised(1.114), raised(461332.2)
-        ('by 11 %', '461,332 times')
-    """
-    return f"by {100 * (factor - 1):.0f} %" if factor < 2 else f"{factor:,.{0 if factor > 10 else 1}f} times"
-
-
-def modes(found: Identified) -> str:
-    """Every mode of the plant with its time constant, the slowest first; pairs once."""
-    plant = found.plant
-    values = [v for v in np.linalg.eigvals(plant.A).tolist() if complex(v).imag >= 0]
-    rows = (_mode(complex(v), plant.dt) for v in sorted(values, key=lambda v: -abs(v)))
-    return scroll(table(("Eigenvalue", "Size", "Time constant", "Period"), rows), "Modes")
-
-
-def _mode(value: complex, dt: float) -> str:
-    turn = abs(math.atan2(value.imag, value.real))
-    name = f"{value.real:.4f}" + (f" ± {value.imag:.4f} i" if value.imag else "")
-    period = duration(2 * math.pi * dt / turn, dt) if value.imag else "–"
-    return (
-        f'<tr><th scope="row">{name.replace("-", "−")}</th><td>{abs(value):.4f}</td>'
-        f"<td>{constant(abs(value), dt)}</td><td>{period}</td></tr>"
-    )
-
-
-def constant(size: float, dt: float) -> str:
-    """The time in which a mode falls to 1/e."""
-    if size >= 1:
-        return "never fades"
-    return duration(-dt / math.log(size), dt) if size > 0 else "–"
-
-
-def duration(seconds: float, dt: float) -> str:
-    """A time as a reader wants it; in samples if the sample time is 1, as of a record without times.
-
-    Examples:
-        >>> duration(430, 180), duration(9000, 180), duration(0.02, 0.01), duration(12.3, 1.0)
-        ('7.17 min', '2.50 h', '0.0200 s', '12.3 samples')
-    """
-    return f"{compact(seconds)} samples" if dt == 1.0 else _seconds(seconds, 3)
-
-
-def _seconds(seconds: float, digits: int = 0) -> str:
-    unit, length = next(((u, s) for u, s, _ in UNITS if seconds >= 2 * s), ("s", 1.0))
-    value = seconds / length
-    return f"{compact(value)} {unit}" if digits else f"{value:,.4g} {unit}"
