@@ -11,11 +11,12 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from securestate.identification import Grade, Identified, Problem, identify
+from securestate.identification.verdict import criteria
 from securestate.reporting import identification_facts as facts
 from securestate.reporting import identification_figures as figures
 from securestate.reporting import write_identification
 from securestate.reporting.identification import render
-from securestate.reporting.identification_criteria import criteria
+from securestate.reporting.identification_criteria import why
 from tests.reporting.test_html import NASTY, Reader
 from tests.reporting.test_resilience import Balance, cells, section, tables, text
 
@@ -203,22 +204,20 @@ def test_a_suspect_is_marked(found: Identified) -> None:
     assert "suspect" not in render(found)
 
 
-def test_criteria_beyond_their_limits_are_the_reasons_of_the_grade(one: Identified) -> None:
-    judged = one.verdict.residuals
-    grades = [of.limits.grade(of.value) for of in criteria(judged, one.plant.channel_names)]
-    if one.verdict.grade == Grade.GOOD:
-        assert set(grades) == {None}
-    else:
-        assert one.verdict.grade in grades
-    assert len(rows(render(one), "Why this grade")) == len(grades)
+def test_every_criterion_has_its_gauge_and_the_worst_is_the_grade(one: Identified) -> None:
+    found = one.verdict.criteria
+    worst = max((of.grade for of in found), key=list(Grade).index)
+    assert worst == one.verdict.grade
+    assert len(rows(render(one), "Why this grade")) == len(found)
 
 
 def test_what_may_be_chance_is_no_reason(found: Identified) -> None:
     quiet = replace(found.verdict.residuals, counted=np.full(5, 30), shift=np.full(5, 0.6))
     loud = replace(quiet, counted=np.full(5, 300))
     for judged, said in ((quiet, "none beyond chance"), (loud, "0.60 sd, a")):
-        told = {of.name: of.text for of in criteria(judged, NAMES)}
-        assert told["Predictions off on average"] == said
+        told = why(list(criteria(judged, NAMES, None)))
+        row = next(row for row in told.split("<tr>") if "Predictions off on average" in row)
+        assert said in row
 
 
 def test_every_dot_is_a_mean_of_normalised_errors(found: Identified) -> None:

@@ -31,6 +31,7 @@ from securestate.identification.order import COSTLY, TRIAL, OrderSearch, score, 
 from securestate.identification.prepare import FILLED, Prepared, complete, prepare, split
 from securestate.identification.redundancy import explained, left_out
 from securestate.identification.subspace import Subspace
+from securestate.identification.verdict import Grade
 from securestate.plant import Plant
 
 Array = NDArray[np.float64]
@@ -323,13 +324,17 @@ class _Task:
         name: str,
     ) -> Verdict:
         """The verdict on this model by the held-out record, or by the samples kept back."""
-        judged_plant = assemble(model, self.history, self.prepared, channels, name)
+        # Of channels that repeat each other one is judged: what tells them apart says nothing of the model.
+        first = {group.channels[0] for group in self.prepared.groups}
+        alone = {sensor: [i for i in rows if i in first] for sensor, rows in channels.items()}
+        alone = {sensor: rows for sensor, rows in alone.items() if rows}
+        judged_plant = assemble(model, self.history, self.prepared, alone, name)
         kept = replace(self.history, segments=tuple(split(self.history.segments, KEPT_BACK)[1]))
-        record = (self.other or kept).select(plant.channel_names, plant.input_names).segments
+        names = judged_plant.channel_names
+        record = (self.other or kept).select(names, plant.input_names).segments
         law = None
-        order = [self.history.channel_names.index(channel) for channel in plant.channel_names]
-        alone = len(order) == len(self.prepared.groups)
-        if alone and found.cost > COSTLY * len(order):
+        order = [self.history.channel_names.index(channel) for channel in names]
+        if found.cost > COSTLY * len(order):
             best = subspace.model(max(found.innovations, key=lambda n: found.innovations[n]))
             place = [self._group_of(channel) for channel in order]
             law = replace(
@@ -358,7 +363,7 @@ class _Task:
         found = verdict.residuals
         readings = max(int(found.channels.sum()), 1)
         excess = found.size - 1
-        if excess < 2 * np.sqrt(2 / readings):
+        if verdict.grade is Grade.INADEQUATE or excess < 2 * np.sqrt(2 / readings):
             return 1.0
         return float(1 + excess * (1.0 if self.other else 1 - KEPT_BACK))
 

@@ -156,8 +156,8 @@ def _climb(
 ) -> None:
     """Fit larger orders until that has not helped for a while.
 
-    While the likelihood is below `enough`, what an innovations form has, orders up to `reach` are fitted: noises
-    that sensors share are states of their own if every sensor has an independent noise.
+    While the likelihood is below `enough`, what an innovations form has, orders up to `reach` are fitted:
+    noises that sensors share are states of their own if every sensor has an independent noise.
     """
     n, failed = max(trials), 0
     for step in CLIMB:

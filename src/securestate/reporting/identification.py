@@ -78,7 +78,7 @@ def render(
         reasons=_reasons(found, others),
         learned=escape(found.headline),
         remarks=_remarks(found),
-        why=why(judged, channels) if judged.samples else "",
+        why=why(verdict.criteria) if judged.samples else "",
         counted=_counted(found),
         others="the other sensors and the inputs" if found.plant.n_inputs else "the other sensors",
         checked=tables.checked(found),

@@ -3,116 +3,54 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from html import escape
 from typing import TYPE_CHECKING
-
-import numpy as np
-from numpy.typing import NDArray
 
 from securestate.identification import verdict as limits
 from securestate.reporting.comparison_tables import rate, scroll
 from securestate.reporting.page import compact, table
 
 if TYPE_CHECKING:
-    from securestate.identification.residuals import Residuals
-    from securestate.identification.verdict import Limits
-
-Float = NDArray[np.float64]
+    from securestate.identification.verdict import Criterion
 
 WIDE, GOOD_END, USABLE_END = 100, 50, 80
 """Of a gauge: where it ends, where good ends, where usable ends."""
 
 
-@dataclass(frozen=True)
-class Criterion:
-    """One number that a grade rests on.
-
-    Attributes:
-        name: what it is. text: the number as it is shown, with the channel it belongs to, HTML.
-        value: what is compared with the limits; never below `ideal`.
-        limits: from where on a model is only usable, or inadequate.
-        ideal: the number of a perfect model.
-        unit: of the limits as they are shown: "", "%", "sd".
-        least: the limits from below, upside down, if there are any.
-    """
-
-    name: str
-    text: str
-    value: float
-    limits: Limits
-    ideal: float = 0.0
-    unit: str = ""
-    least: Limits | None = None
-
-
-def criteria(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
-    """What a verdict looks at, in its order; what may be chance counts as nothing, as there."""
-    error = 1 / np.sqrt(np.maximum(found.counted, 1))
-    small = found.size < 1
-    yield Criterion(
-        "Errors over what the model says, as a variance",
-        compact(found.size),
-        1 / max(found.size, 1e-300) if small else found.size,
-        limits.TOO_SMALL if small else limits.TOO_LARGE,
-        1.0,
-        least=limits.TOO_SMALL,
-    )
-    yield Criterion(
-        "Samples beyond the limit for 5 %", rate(found.exceed), found.exceed, limits.EXCEED, unit="%"
-    )
-    first = np.abs(np.nan_to_num(found.repeat[0]))
-    sure = np.where(first > limits.SURE * error, first, 0.0)
-    repeats = found.repeats if sure.any() else 0.0
-    yield Criterion(
-        "Errors repeat from sample to sample, all channels", f"{repeats:.2f}", repeats, limits.REPEATS
-    )
-    yield _worst("The same, worst channel", sure, names, limits.REPEATS_WORST, "")
-    for name, values, errors in (
-        ("Plant away from its operating point", found.level, found.level_error * math.sqrt(2)),
-        ("Predictions off on average", found.shift, error),
-        ("Errors drift within the record", found.change, 2 * error),
-    ):
-        size = np.abs(np.nan_to_num(values))
-        yield _worst(name, np.where(size > limits.SURE * errors, size, 0.0), names, limits.SHIFT, "sd")
-    worst = found.worst_block / max(found.median_block, 0.25)
-    yield Criterion("Worst part of the record over the median", compact(worst), worst, limits.COLLAPSE, 1.0)
-
-
-def _worst(name: str, size: Float, names: Sequence[str], of: Limits, unit: str) -> Criterion:
-    i = int(np.argmax(size))
-    told = (
-        f"{size[i]:.2f}{f' {unit}' if unit else ''}, {escape(names[i])}"
-        if size[i] > 0
-        else "none beyond chance"
-    )
-    return Criterion(name, told, float(size[i]), of, unit=unit)
-
-
-def why(found: Residuals, names: Sequence[str]) -> str:
+def why(found: Sequence[Criterion]) -> str:
     """Every number the grade rests on, on a gauge of good, usable and inadequate."""
     head = ("What is looked at", "Good, usable, inadequate", "Here", "Good", "Usable")
-    drawn = table(head, (_criterion(one) for one in criteria(found, names)))
+    drawn = table(head, map(_criterion, found))
     return scroll(drawn.replace("<table>", '<table class="gauges">', 1), "Why this grade")
 
 
 def _criterion(one: Criterion) -> str:
-    kind = str(one.limits.grade(one.value) or limits.Grade.GOOD)
+    kind = str(one.grade)
     good, usable = _ranges(one)
     return (
         f'<tr><th scope="row">{escape(one.name)}</th><td class="gauge">{_gauge(one, kind)}</td>'
-        f'<td class="{kind}">{one.text}</td><td>{good}</td><td>{usable}</td></tr>'
+        f'<td class="{kind}">{_shown(one)}</td><td>{good}</td><td>{usable}</td></tr>'
     )
+
+
+def _shown(one: Criterion) -> str:
+    """The number, with the channel it belongs to."""
+    if one.shown == 0 and not one.channel and one.ideal == 0:
+        return "none beyond chance"
+    if one.unit == "%":
+        return rate(one.shown)
+    number = compact(one.shown) if one.ideal else f"{one.shown:.2f} {one.unit}".rstrip()
+    return f"{number}, {escape(one.channel)}" if one.channel else number
 
 
 def _ranges(one: Criterion) -> tuple[str, str]:
     """Which numbers are good, and which are usable; empty if there are none in between."""
-    if one.least is not None:
-        most = limits.TOO_LARGE
+    least, most = limits.TOO_SMALL, limits.TOO_LARGE
+    if one.limits in (least, most):
         return (
-            f"{1 / one.least.usable:.2f} to {most.usable:.2f}",
-            f"{1 / one.least.inadequate:.2f} to {most.inadequate:.2f}",
+            f"{1 / least.usable:.2f} to {most.usable:.2f}",
+            f"{1 / least.inadequate:.2f} to {most.inadequate:.2f}",
         )
     good, usable = min(one.limits.usable, one.limits.inadequate), one.limits.inadequate
     return _up_to(good, one.unit), _up_to(usable, one.unit) if good < usable else ""
