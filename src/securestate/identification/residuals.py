@@ -33,6 +33,7 @@ class Residuals:
     """Standardised innovations of a record, and what they say.
 
     Attributes:
+        names: of the channels judged: of channels that repeat each other one.
         segments: innovation / its standard deviation, (N, m) per segment, NaN where nothing was read.
         nis: normalised innovation squared per sample, (T,); channels: how many channels it counts, (T,).
         size: nis per channel: 1 if errors are as large as the model says.
@@ -49,6 +50,7 @@ class Residuals:
         counted: readings per channel, (m,).
     """
 
+    names: tuple[str, ...]
     segments: tuple[Array, ...]
     nis: Array
     channels: NDArray[np.int64]
@@ -134,6 +136,7 @@ def _summed(
     blocks = _block_means(nis / np.maximum(channels, 1))
     level, level_error = _level(plant, record)
     return Residuals(
+        names=plant.channel_names,
         segments=parts,
         nis=nis,
         channels=channels,

@@ -65,7 +65,7 @@ def render(
 ) -> str:
     """The report as text; arguments as for `write_identification`."""
     found, verdict = identified, identified.verdict
-    judged, channels = verdict.residuals, found.plant.channel_names
+    judged = verdict.residuals
     first, *others = verdict.sentences()
     return Template(asset("identification.html")).substitute(
         style=asset("page.css", "comparison.css", "identification.css"),
@@ -83,7 +83,7 @@ def render(
         others="the other sensors and the inputs" if found.plant.n_inputs else "the other sensors",
         checked=tables.checked(found),
         predicts=_predicts(judged) if judged.samples else "<p>There is no sample to judge the model by.</p>",
-        repeated=tables.repeated(judged, channels),
+        repeated=tables.repeated(judged),
         chance=f"{2 / max(1, int(judged.counted.max(initial=1))) ** 0.5:.2f}",
         orders=_orders(found.search),
         sensors=tables.sensors(found),

@@ -95,12 +95,12 @@ def portion(share: float) -> str:
     return f"{100 * max(share, 0.0):.0f} %"
 
 
-def repeated(found: Residuals, names: Sequence[str]) -> str:
+def repeated(found: Residuals) -> str:
     """Autocorrelation of every channel's errors by lag, coloured; of many channels the worst first."""
-    order = list(range(len(names)))
-    if len(names) > SHOWN:
+    order = list(range(len(found.names)))
+    if len(order) > SHOWN:
         order = np.argsort(-np.nan_to_num(np.abs(found.repeat)).max(axis=0), kind="stable").tolist()
-    rows = [_repeats(found, i, names[i]) for i in order]
+    rows = [_repeats(found, i, found.names[i]) for i in order]
     return _folded(rows, lambda some: _heat(some, len(found.repeat)), "channel")
 
 
@@ -188,7 +188,7 @@ def _sensor(found: Identified, i: int, one: SensorEvidence, named: bool) -> Iter
             if first
             else ""
         )
-        yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{_errors(judged, k)}</tr>"
+        yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{_errors(judged, plant.channel_names[k])}</tr>"
 
 
 def _engineering(plant: Plant, k: int) -> str:
@@ -201,7 +201,11 @@ def _engineering(plant: Plant, k: int) -> str:
     )
 
 
-def _errors(found: Residuals, k: int) -> str:
+def _errors(found: Residuals, channel: str) -> str:
+    """Numbers of a channel; none if another one that repeats it was judged in its place."""
+    if channel not in found.names:
+        return '<td class="soft">as above</td>' + 3 * "<td></td>"
+    k = found.names.index(channel)
     variance, p = float(found.variance[k]), float(found.ljung_box[k])
     far = (variance > limits.TOO_LARGE.inadequate) or (
         1 / max(variance, 1e-300) > limits.TOO_SMALL.inadequate
