@@ -87,7 +87,9 @@ def large(found: Identified, m: int) -> Identified:
     return replace(
         found,
         plant=several,
-        verdict=replace(verdict, sensors=tuple(evidence), residuals=replace(of, names=several.channel_names, **wide)),
+        verdict=replace(
+            verdict, sensors=tuple(evidence), residuals=replace(of, names=several.channel_names, **wide)
+        ),
     )
 
 

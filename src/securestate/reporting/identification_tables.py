@@ -188,7 +188,8 @@ def _sensor(found: Identified, i: int, one: SensorEvidence, named: bool) -> Iter
             if first
             else ""
         )
-        yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{_errors(judged, plant.channel_names[k])}</tr>"
+        numbers = _errors(judged, plant.channel_names[k])
+        yield f"<tr>{name}{channel}{_engineering(plant, k)}{shared}{numbers}</tr>"
 
 
 def _engineering(plant: Plant, k: int) -> str:
