@@ -82,5 +82,5 @@ def record(form: Innovations, N: int, rng: np.random.Generator) -> tuple[Array, 
         hold = int(rng.integers(1, 6))
         u[:, j] = np.repeat(rng.standard_normal(total // hold + 1), hold)[:total]
     e = rng.standard_normal((total, len(form.C))) @ np.linalg.cholesky(form.S).T
-    x = scan(form.A, u @ form.B.T + e @ form.K.T)[:-1]
+    x = scan(form.A, u @ form.B.T + e @ form.K.T)
     return (x @ form.C.T + u @ form.D.T + e)[SETTLE:], u[SETTLE:]

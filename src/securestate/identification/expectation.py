@@ -24,11 +24,12 @@ from scipy import linalg
 
 from securestate.errors import InputError
 from securestate.estimators._smoother import smooth
-from securestate.identification._scan import scan
 from securestate.identification.forms import (
     Independent,
     Predictor,
     Record,
+    Stack,
+    Stationary,
     innovations_of,
     log_density,
     spread,
@@ -80,27 +81,27 @@ class Moments:
         return np.asarray(self.yy - 2 * crossed + np.einsum("ij,jk,ik->i", CD, self.gg, CD))
 
 
-def expect(model: Independent, record: Record) -> Moments:
+def expect(model: Independent, stack: Stack) -> Moments:
     """E-step on segments without missing samples, each long enough for the filter to be stationary.
 
     Raises:
         LinAlgError: the model has no stationary filter.
     """
     steady = stationary(model)
-    predict = Predictor(innovations_of(model, steady))
-    P, L, A = steady.P, steady.L, model.A
+    P, L, A, n = steady.P, steady.L, model.A, model.n
     filtered = symmetric(P - L @ model.C @ P)
     J = np.asarray(np.linalg.solve(P, A @ filtered).T, dtype=np.float64)
     smoothed = symmetric(np.asarray(linalg.solve_discrete_lyapunov(J, filtered - J @ P @ J.T)))
-    sums, n = Moments.none(model), model.n
-    for y, u in record:
-        e, x = predict(y, u)
-        # x[k|N] = x[k|k] + J (x[k+1|N] - x[k+1|k]), from the end backwards
-        backwards = x[:-1] + e @ L.T
-        backwards[:-1] -= x[1:-1] @ J.T
-        states = scan(J, backwards[::-1])[:0:-1]
-        sums.likelihood += float(np.sum(log_density(e, steady.S)))
-        _add(sums, states, y, u)
+    e, x = Predictor(innovations_of(model, steady))(stack)
+    # x[k|N] = x[k|k] + J (x[k+1|N] - x[k+1|k]), from the end of every segment backwards
+    states = x + e @ L.T
+    inner = np.ones(len(x), dtype=np.bool_)
+    inner[stack.lasts] = False
+    states[:-1][inner[:-1]] -= x[1:][inner[:-1]] @ J.T
+    states = stack.backwards(J, states)
+    sums = Moments.none(model)
+    sums.likelihood = _likelihood(model, steady, e)
+    _add(sums, states, stack)
     sums.zz[:n, :n] += sums.transitions * smoothed
     sums.zx[:n] += sums.transitions * (smoothed @ J.T).T
     sums.xx += sums.transitions * smoothed
@@ -108,17 +109,35 @@ def expect(model: Independent, record: Record) -> Moments:
     return sums
 
 
-def _add(sums: Moments, states: Array, y: Array, u: Array) -> None:
-    """Add the products of the smoothed means of one segment."""
-    z = np.hstack([states, u])
-    sums.zz += z[:-1].T @ z[:-1]
-    sums.zx += z[:-1].T @ states[1:]
-    sums.xx += states[1:].T @ states[1:]
-    sums.gg += z.T @ z
-    sums.gy += z.T @ y
-    sums.yy += np.sum(y**2, axis=0)
-    sums.transitions += len(y) - 1
-    sums.samples += len(y)
+def _likelihood(model: Independent, steady: Stationary, e: Array) -> float:
+    """Sum of log N(e; 0, S), S = C P C' + R; of many channels by the inverse of the smaller matrix."""
+    m, n = model.C.shape
+    if m < 2 * n:
+        return float(np.sum(log_density(e, steady.S)))
+    # e' S^-1 e = e' R^-1 e - h' (P^-1 + C' R^-1 C)^-1 h,   h = C' R^-1 e
+    weighed = model.C / model.r[:, None]
+    information = np.linalg.inv(steady.P) + model.C.T @ weighed
+    h = e @ weighed
+    squares = float(np.sum(np.einsum("ki,ki->i", e, e) / model.r))
+    squares -= float(np.einsum("ki,ki->", h, np.linalg.solve(information, h.T).T))
+    _, size = np.linalg.slogdet(2 * np.pi * steady.S)
+    return -0.5 * (squares + len(e) * float(size))
+
+
+def _add(sums: Moments, states: Array, stack: Stack) -> None:
+    """Add the products of smoothed means; nothing leads from one segment to the next."""
+    z = np.hstack([states, stack.u])
+    first, last = z[stack.firsts], z[stack.lasts]
+    n = states.shape[1]
+    whole = z.T @ z
+    sums.gg += whole
+    sums.zz += whole - last.T @ last
+    sums.xx += (whole - first.T @ first)[:n, :n]
+    sums.zx += z[:-1].T @ states[1:] - last[:-1].T @ first[1:, :n]
+    sums.gy += z.T @ stack.y
+    sums.yy += np.sum(stack.y**2, axis=0)
+    sums.transitions += len(z) - len(first)
+    sums.samples += len(z)
 
 
 def expect_with_gaps(model: Independent, record: Record) -> Moments:
@@ -145,6 +164,6 @@ def _add_smoothed(model: Independent, start: Array, y: Array, u: Array, sums: Mo
     sums.gg[:n, :n] += found.whole
     # A missing y is estimated, too: y = C x + D u + v, so that E y^2 and E z y have its covariance.
     missing = np.isnan(y)
-    _add(sums, found.states, np.where(missing, found.states @ model.C.T + through, y), u)
+    _add(sums, found.states, Stack([(np.where(missing, found.states @ model.C.T + through, y), u)]))
     sums.gy[:n] += np.einsum("mij,mj->im", found.absent, model.C)
     sums.yy += np.einsum("mi,mij,mj->m", model.C, found.absent, model.C) + missing.sum(axis=0) * model.r

@@ -23,17 +23,45 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from securestate._steady_state import doubling
-from securestate.identification._scan import scan
+from securestate.identification._scan import Scan
 
 Array = NDArray[np.float64]
 Segment = tuple[Array, Array]
 Record = Sequence[Segment]
 
 #: Samples over which the unknown start of a segment is felt at most.
-MEMORY = 200
+MEMORY = 256
 
 #: Largest |eigenvalue| with which a stationary covariance is asked for.
 EDGE = 0.9999
+
+
+@final
+class Stack:
+    """A record without gaps in one array, and plans for recursions forwards and backwards.
+
+    Attributes:
+        y (N, m), u (N, q): of all segments, one after the other.
+        bounds: where segments begin, and N at the end.
+    """
+
+    def __init__(self, record: Record) -> None:
+        self.y = np.vstack([y for y, _ in record])
+        self.u = np.vstack([u for _, u in record])
+        lengths = [len(y) for y, _ in record]
+        self.bounds = np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64)
+        self.forwards, self._reversed = Scan(lengths), Scan(lengths[::-1])
+        self.firsts, self.lasts = self.bounds[:-1], self.bounds[1:] - 1
+
+    def backwards(self, J: Array, g: Array) -> Array:
+        """x[k] = J x[k+1] + g[k] in every segment, x = g at its end, (N, n)."""
+        turned = g[::-1]
+        later = self._reversed(J, turned)
+        return np.asarray((later @ J.T + turned)[::-1])
+
+    def parts(self, x: Array) -> list[Array]:
+        """An array of all samples, by segment."""
+        return np.split(x, self.bounds[1:-1])
 
 
 @final
@@ -160,29 +188,38 @@ class Predictor:
         self._prior = (V / values) @ V.T
 
     def _powers(self) -> Array:
-        """I, F, F^2, ... as long as they matter, (T, n, n)."""
-        powers = [np.eye(self.model.n)]
-        while len(powers) < MEMORY and np.max(np.abs(powers[-1])) > 1e-4:
-            powers.append(self.F @ powers[-1])
-        return np.array(powers)
+        """I, F, F^2, ... as long as they matter, (T, n, n); twice as many with every product."""
+        powers, further = np.eye(self.model.n)[None], self.F
+        while len(powers) < MEMORY and np.max(np.abs(further)) > 1e-4:
+            powers = np.concatenate([powers, powers @ further])
+            further = further @ further
+        return powers
 
-    def __call__(self, y: Array, u: Array) -> tuple[Array, Array]:
-        """Innovations e (N, m) and predicted states x[k|k-1] (N + 1, n) of one segment without gaps."""
+    def __call__(self, stack: Stack) -> tuple[Array, Array]:
+        """Innovations e (N, m) and predicted states x[k|k-1] (N, n) of all samples."""
         model = self.model
-        through = y - u @ model.D.T
-        x = scan(self.F, u @ model.B.T + through @ model.K.T)
-        e = through - x[:-1] @ model.C.T
-        felt = min(len(y), len(self._decay))
-        seen, weighed = self._seen[:felt], self._weighed[:felt]
-        information = self._prior + np.einsum("tmi,tmj->ij", seen, weighed)
-        start = np.linalg.solve(information, np.einsum("tmi,tm->i", weighed, e[:felt]))
-        moved = self._decay[:felt] @ start
-        x[:felt] += moved
-        e[:felt] -= moved @ model.C.T
+        through = stack.y - stack.u @ model.D.T if np.any(model.D) else stack.y
+        x = stack.forwards(self.F, stack.u @ model.B.T + through @ model.K.T)
+        e = through - x @ model.C.T
+        counts = np.minimum(np.diff(stack.bounds), len(self._decay))
+        information = {count: self._information(count) for count in set(counts.tolist())}
+        for begin, count in zip(stack.bounds[:-1].tolist(), counts.tolist(), strict=True):
+            felt = slice(begin, begin + count)
+            heard = self._weighed[:count].reshape(-1, model.n).T @ e[felt].ravel()
+            moved = self._decay[:count] @ np.linalg.solve(information[count], heard)
+            x[felt] += moved
+            e[felt] -= moved @ model.C.T
         return e, x
+
+    def _information(self, count: int) -> Array:
+        """What so many samples say of the state they start in, and what is known before."""
+        n = self.model.n
+        heard = self._weighed[:count].reshape(-1, n).T @ self._seen[:count].reshape(-1, n)
+        return np.asarray(self._prior + heard)
 
 
 def innovations(model: Innovations | Independent, record: Record) -> list[Array]:
     """The innovations e of every segment, each (N, m)."""
     predict = Predictor(innovations_of(model) if isinstance(model, Independent) else model)
-    return [predict(y, u)[0] for y, u in record]
+    stack = Stack(record)
+    return stack.parts(predict(stack)[0])

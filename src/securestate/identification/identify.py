@@ -40,8 +40,8 @@ Progress = Callable[[str, int, int], None]
 #: Share of the history, its end, that judges orders, and the model if there is no other record to do so.
 KEPT_BACK = 0.25
 
-#: EM and L-BFGS steps of the last fit, and of the one on gaps that follows it.
-FINAL, WITH_GAPS = (5, 150), (8, 20)
+#: EM and L-BFGS steps of the fit, of its continuation on all of the history, and of the ones with gaps.
+FINAL, AGAIN, WITH_GAPS = (5, 150), (2, 60), (8, 20)
 
 #: Samples that a history needs at least, in all and per channel and input.
 LEAST, LEAST_EACH = 50, 3
@@ -290,8 +290,8 @@ class _Task:
             self.stretches,
             freedom,
             self.prepared.floor,
-            em=FINAL[0],
-            steps=steps,
+            em=AGAIN[0],
+            steps=min(steps, AGAIN[1]),
             progress=self._bar("fitting all"),
         )
         return (

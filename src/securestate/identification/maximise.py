@@ -24,6 +24,7 @@ from securestate.identification.forms import (
     EDGE,
     Independent,
     Record,
+    Stack,
     radius,
     spread,
     symmetric,
@@ -114,16 +115,16 @@ def maximise(
     Raises:
         LinAlgError: `model` has no stationary filter.
     """
-    evaluate = expect_with_gaps if gaps else expect
+    evaluate = _evaluation(record, gaps)
     samples = sum(len(y) for y, _ in record)
     tell = progress or (lambda _done, _all: None)
     best = current = _placed(model, freedom)
-    heard = evaluate(current, record)
+    heard = evaluate(current)
     likelihoods = [heard.likelihood / samples]
     for k in range(em):
         current = _placed(_m_step(current, heard, freedom, floor), freedom)
         try:
-            heard = evaluate(current, record)
+            heard = evaluate(current)
         except np.linalg.LinAlgError:
             break
         tell(k + 1, em + steps)
@@ -132,12 +133,20 @@ def maximise(
         best = current
         likelihoods.append(heard.likelihood / samples)
     if steps:
-        task = _Task(best, record, freedom, floor, evaluate, samples)
+        task = _Task(best, freedom, floor, evaluate, samples)
         found, climbed = task.climb(steps, lambda k: tell(em + k, em + steps))
         if climbed and climbed[-1] > likelihoods[-1]:
             best = found
             likelihoods += climbed
     return Fit(_placed(best, freedom), tuple(likelihoods))
+
+
+def _evaluation(record: Record, gaps: bool) -> Callable[[Independent], Moments]:
+    """The E-step on this record, as a function of the model."""
+    if gaps:
+        return lambda model: expect_with_gaps(model, record)
+    stack = Stack(record)
+    return lambda model: expect(model, stack)
 
 
 def balanced(model: Independent) -> Independent:
@@ -224,13 +233,12 @@ class _Task:
     def __init__(
         self,
         model: Independent,
-        record: Record,
         freedom: Freedom,
         floor: Array,
-        evaluate: Callable[[Independent, Record], Moments],
+        evaluate: Callable[[Independent], Moments],
         samples: int,
     ) -> None:
-        self.model, self.record, self.freedom, self.floor = model, record, freedom, floor
+        self.model, self.freedom, self.floor = model, freedom, floor
         self.evaluate, self.samples = evaluate, samples
         self.size = np.sqrt(model.r)[:, None]
 
@@ -303,7 +311,7 @@ class _Task:
         if not np.all(model.r < 1e9) or radius(model.A) >= self.freedom.limit:
             return impossible
         try:
-            heard = self.evaluate(model, self.record)
+            heard = self.evaluate(model)
             slope = self._slope(x, model, heard)
         except (np.linalg.LinAlgError, ValueError):
             return impossible

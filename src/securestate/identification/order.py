@@ -20,6 +20,8 @@ from securestate.identification.forms import (
     Innovations,
     Predictor,
     Record,
+    Segment,
+    Stack,
     innovations_of,
     log_density,
 )
@@ -41,8 +43,8 @@ COSTLY = 0.01
 #: Steps up from the shortlisted orders, and how many in a row may fail to help.
 CLIMB, PATIENCE = (1, 1, 1, 2, 2, 3, 3, 4, 4), 2
 
-#: EM and L-BFGS steps of a trial fit.
-TRIAL = (5, 40)
+#: EM and L-BFGS steps of a trial fit, and samples that are enough for it: it chooses an order, no more.
+TRIAL, ENOUGH = (5, 40), 20_000
 
 
 @final
@@ -88,6 +90,7 @@ def search(
         raise np.linalg.LinAlgError("no model of any order")
     forms, subspace = max(tried, key=lambda pair: max(values.mean() for values in pair[0].values()))
     trials: dict[int, tuple[Array, Independent]] = {}
+    fitted = _last(fitted, ENOUGH)
 
     def fit(n: int) -> None:
         if n not in trials and n <= subspace.largest_order:
@@ -114,6 +117,17 @@ def search(
     return found, trials[chosen][1], subspace
 
 
+def _last(record: Record, samples: int) -> Record:
+    """The last so many samples of a record."""
+    found: list[Segment] = []
+    for y, u in reversed(record):
+        if samples <= 0:
+            break
+        found.append((y[-samples:], u[-samples:]))
+        samples -= len(y)
+    return found[::-1]
+
+
 def _innovations(subspace: Subspace, kept_back: Record, orders: range | tuple[int, ...]) -> dict[int, Array]:
     """Log-likelihood of every sample kept back, by order; orders without a model are left out."""
     found = {}
@@ -133,7 +147,9 @@ def score(model: Innovations | Independent, record: Record) -> Array:
     """Log p(y[k] | the past) of every sample, nats, but for the first of each segment."""
     form = innovations_of(model) if isinstance(model, Independent) else model
     predict = Predictor(form)
-    return np.concatenate([log_density(predict(y, u)[0], form.S)[min(5, len(y) // 4) :] for y, u in record])
+    stack = Stack(record)
+    density = stack.parts(log_density(predict(stack)[0], form.S))
+    return np.concatenate([part[min(5, len(part) // 4) :] for part in density])
 
 
 def _trial(

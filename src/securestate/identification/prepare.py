@@ -132,15 +132,25 @@ def _refuse_empty(history: History, y: Array) -> None:
 def _groups(z: Array, kept: Indices) -> tuple[Group, ...]:
     """Channels that repeat each other, together; each group in the order of the history."""
     groups: list[Group] = []
+    alike = _alike(z)
     for i in kept:
         for g, group in enumerate(groups):
-            sign = _repeats(z[:, group.channels[0]], z[:, i])
+            first = group.channels[0]
+            sign = _repeats(z[:, first], z[:, i]) if alike[first, i] else 0.0
             if sign:
                 groups[g] = Group((*group.channels, int(i)), (*group.signs, sign))
                 break
         else:
             groups.append(Group((int(i),), (1.0,)))
     return tuple(groups)
+
+
+def _alike(z: Array) -> NDArray[np.bool_]:
+    """Pairs of channels that may repeat each other, by their correlation; one pass for all, (m, m)."""
+    there = np.isfinite(z).astype(np.float64)
+    known = np.where(there > 0, z, 0.0)
+    products, squares = known.T @ known, (known**2).T @ there
+    return np.asarray(np.abs(products) > 0.99 * np.sqrt(squares * squares.T))
 
 
 def _repeats(first: Array, second: Array) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy import linalg
 
 from securestate._steady_state import doubling
-from securestate.identification.forms import Innovations, Predictor, Record, symmetric
+from securestate.identification.forms import Innovations, Predictor, Record, Stack, symmetric
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -39,11 +39,10 @@ def left_out(model: Innovations, sensor: Indices, record: Record) -> list[Array]
     predict = Predictor(reduced)
     shared = model.C[sensor] @ P @ reduced.C.T + model.S[np.ix_(sensor, others)]
     onto = linalg.cho_solve(linalg.cho_factor(reduced.S), shared.T).T
-    remains = []
-    for y, u in record:
-        e, x = predict(y[:, others], u)
-        remains.append(y[:, sensor] - x[:-1] @ model.C[sensor].T - u @ model.D[sensor].T - e @ onto.T)
-    return remains
+    stack = Stack([(y[:, others], u) for y, u in record])
+    e, x = predict(stack)
+    expected = x @ model.C[sensor].T + stack.u @ model.D[sensor].T + e @ onto.T
+    return [y[:, sensor] - part for (y, _), part in zip(record, stack.parts(expected), strict=True)]
 
 
 def _reduced(model: Innovations, others: Indices) -> tuple[Innovations, Array]:
@@ -64,8 +63,8 @@ def _reduced(model: Innovations, others: Indices) -> tuple[Innovations, Array]:
 def _by_inputs(model: Innovations, sensor: Indices, record: Record) -> list[Array]:
     """What the inputs alone leave of the only sensor."""
     silent = Innovations(model.A, model.B, model.C, model.D, np.zeros_like(model.K), model.S)
-    predict = Predictor(silent)
-    return [predict(y, u)[0][:, sensor] if len(y) else y for y, u in record]
+    stack = Stack(record)
+    return [part[:, sensor] for part in stack.parts(Predictor(silent)(stack)[0])]
 
 
 #: Samples per block: within one, errors depend on each other.

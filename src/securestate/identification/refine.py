@@ -15,7 +15,7 @@ from securestate._threads import one_blas_thread
 from securestate.errors import DesignError, InputError, MeasurementError, PlantError
 from securestate.identification.assemble import with_matrices
 from securestate.identification.expectation import expect, expect_with_gaps
-from securestate.identification.forms import EDGE, Independent, Segment, radius, spread
+from securestate.identification.forms import EDGE, Independent, Segment, Stack, radius, spread
 from securestate.identification.history import History
 from securestate.identification.judge import fitting
 from securestate.identification.maximise import Freedom, maximise
@@ -154,7 +154,7 @@ def _gaps(record: Sequence[Segment]) -> bool:
 
 
 def _likelihood(model: Independent, record: Sequence[Segment]) -> float:
-    heard = (expect_with_gaps if _gaps(record) else expect)(model, record)
+    heard = expect_with_gaps(model, record) if _gaps(record) else expect(model, Stack(record))
     return heard.likelihood / heard.samples
 
 

@@ -201,7 +201,7 @@ def _level(plant: Plant, record: Sequence[Segment]) -> tuple[Array, Array]:
     total, weight, variance = np.zeros(plant.m), np.zeros(plant.m), np.zeros(plant.m)
     for y, u in record:
         driven = plant.normalise_input(u)
-        expected = scan(A, driven @ plant.B.T)[:-1] @ plant.C.T + driven @ plant.D.T
+        expected = scan(A, driven @ plant.B.T) @ plant.C.T + driven @ plant.D.T
         z = plant.normalise(y) - expected
         number = np.isfinite(z).sum(axis=0)
         total += np.where(np.isfinite(z), z, 0.0).sum(axis=0)
