@@ -35,7 +35,7 @@ from securestate.estimators import (
     cold_start,
 )
 from securestate.identification import History, Identified, Verdict, identify, judge
-from securestate.measurements import Measurements, read_measurements, write_run
+from securestate.measurements import Measurements, read_history, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
 
@@ -83,6 +83,7 @@ __all__ = [
     "compare",
     "identify",
     "judge",
+    "read_history",
     "read_measurements",
     "simulate",
     "write_run",
