@@ -173,7 +173,9 @@ def _columns(table: Table, names: Sequence[str]) -> Array:
         try:
             numbers[:, j] = table.numbers(name)
         except MeasurementError as reason:
-            expected = f"{reason.expected} (ignore leaves the column out)"
+            expected = (
+                f"{reason.expected} (a column that is no channel: ignore, segment_column or time_column)"
+            )
             raise MeasurementError(reason.argument, expected, reason.received) from None
     return numbers
 
