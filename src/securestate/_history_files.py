@@ -24,6 +24,8 @@ from securestate.identification.history import History
 #: Samples without a row that become rows of NaN; after a longer gap a new segment begins, on a new grid.
 LONGEST_GAP = 25
 
+NO_CHANNEL = " (if it is no channel, name it in ignore, segment_column or time_column)"
+
 Array = NDArray[np.float64]
 Files = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -136,7 +138,8 @@ class _Log:
 
     def segments(self, channels: Sequence[str], parts: Parts, dt: float) -> list[tuple[Array, Array]]:
         """Measurements and inputs on the grid, one pair per segment."""
-        y, u = _columns(self.table, channels), _columns(self.table, parts.inputs)
+        y = _columns(self.table, channels, NO_CHANNEL if parts.channels is None else "")
+        u = _columns(self.table, parts.inputs)
         pieces = []
         for start, stop in self._stretches(dt):
             index = self._index(start, stop, dt)
@@ -166,17 +169,14 @@ def _listed(group: Files) -> list[Path]:
     return [Path(file) for file in files]
 
 
-def _columns(table: Table, names: Sequence[str]) -> Array:
+def _columns(table: Table, names: Sequence[str], hint: str = "") -> Array:
     """Columns of numbers, shape (rows, names)."""
     numbers = np.empty((table.rows, len(names)))
     for j, name in enumerate(names):
         try:
             numbers[:, j] = table.numbers(name)
         except MeasurementError as reason:
-            expected = (
-                f"{reason.expected} (a column that is no channel: ignore, segment_column or time_column)"
-            )
-            raise MeasurementError(reason.argument, expected, reason.received) from None
+            raise MeasurementError(reason.argument, reason.expected + hint, reason.received) from None
     return numbers
 
 
@@ -213,8 +213,9 @@ def _usual_step(logs: Sequence[_Log]) -> float:
     if not len(steps):
         raise timed[0].table.error("at least two times, or dt given", "one", column=timed[0].clock)
     usual = float(np.sort(steps)[(len(steps) - 1) // 2])
-    steps = steps[steps < (LONGEST_GAP + 1.5) * usual]
-    samples = np.maximum(np.rint(steps / usual), 1)
+    samples = np.rint(steps / usual)
+    regular = (samples > 0) & (np.abs(steps / usual - samples) <= 3 * JITTER)
+    steps, samples = steps[regular], samples[regular]
     precise = float(steps.sum() / samples.sum())
     short = float(f"{precise:.6g}")
     return short if abs(short - precise) * samples.sum() <= JITTER * precise else precise
@@ -224,6 +225,8 @@ def _history(
     segments: Sequence[list[tuple[Array, Array]]], channels: tuple[str, ...], parts: Parts, dt: float
 ) -> History:
     pairs = [pair for file in segments for pair in file]
+    if not any(np.isfinite(u).all(axis=1).any() for _, u in pairs):
+        raise MeasurementError("inputs", "a sample with all inputs", "none")
     return History.of(
         [y for y, _ in pairs],
         [u for _, u in pairs] if parts.inputs else None,
