@@ -46,6 +46,12 @@ def test_every_column_left_is_a_channel_in_the_order_of_the_file(file: Write) ->
     np.testing.assert_array_equal(u, [[5], [6]])
 
 
+def test_a_column_without_a_name_is_no_channel(file: Write) -> None:
+    assert read_history(file("a,b,", "1,2,", "3,4,")).channel_names == ("a", "b")
+    numbered = file(",a,b", "0,1,2", "1,3,4")
+    assert read_history(numbered, ignore=["(column 1: no name)"]).channel_names == ("a", "b")
+
+
 def test_named_channels_come_in_their_order_and_other_columns_are_not_read(file: Write) -> None:
     history = read_history(file("flow,note,level", "1,ok,2", "3,,4"), channels=["level", "flow"])
     np.testing.assert_array_equal(history.segments[0][0], [[2, 1], [4, 3]])
@@ -172,6 +178,11 @@ def test_the_history_is_what_identify_takes(file: Write) -> None:
         (("a,note", "1,ok"), {}, "name it in ignore, segment_column or time_column), received 'ok'"),
         (("a,b", "1,x"), {"channels": ["b"]}, "expected a number or an empty cell, received 'x'"),
         (("a,b", "1,x"), {"inputs": ["b"]}, "expected a number or an empty cell, received 'x'"),
+        (
+            (",a,b", "0,1,2"),
+            {},
+            "expected a name for every column, or ignore for one without, received '(column 1",
+        ),
         (("a,b", "1,inf"), {}, "expected a finite number or an empty cell"),
         (
             ("time,a", "0,1", "1,1", "0,1"),

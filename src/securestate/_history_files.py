@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from securestate import _checks as check
 from securestate._history_parts import Parts, channels_of
 from securestate._readers import read_table
-from securestate._tables import Table, without_missing
+from securestate._tables import Table
 from securestate._time_grid import JITTER, grid, seconds
 from securestate.errors import InputError, MeasurementError
 from securestate.identification.history import History
@@ -191,13 +191,10 @@ def _runs(table: Table, column: str | None) -> tuple[int, ...]:
     """First row of every run of the same value, and the number of rows at the end."""
     if column is None or column not in table.columns:
         return (0, table.rows)
-    values = table.columns[column].combine_chunks()
-    if values.type in ("string", "large_string"):
-        values = without_missing(values)
-    absent = np.asarray(pc.is_null(values, nan_is_null=True), dtype=np.bool_)
+    absent = table.absent(column)
     if absent.any():
         raise table.error("a value in every row", "an empty cell", row=int(np.argmax(absent)), column=column)
-    codes = np.asarray(pc.dictionary_encode(values).indices)
+    codes = np.asarray(pc.dictionary_encode(table.columns[column].combine_chunks()).indices)
     return (0, *(np.flatnonzero(np.diff(codes)) + 1).tolist(), table.rows)
 
 

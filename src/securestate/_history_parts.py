@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import final
 
 from securestate import _checks as check
-from securestate._tables import Table
+from securestate._tables import Table, nameless
 from securestate._time_grid import offer, time_column_of
 from securestate.errors import InputError, MeasurementError
 
@@ -104,4 +104,11 @@ def channels_of(tables: Sequence[Table], parts: Parts) -> tuple[str, ...]:
 
 
 def _left(table: Table, parts: Parts) -> tuple[str, ...]:
-    return tuple(name for name in table.columns if name not in {*parts.others, parts.clock(table)})
+    """Columns that may be channels; one without a name is none if it is empty."""
+    unknown = [
+        name for i, name in enumerate(table.columns) if name == nameless(i + 1) and name not in parts.others
+    ]
+    for name in unknown:
+        if not table.absent(name).all():
+            raise table.error("a name for every column, or ignore for one without", repr(name))
+    return tuple(name for name in table.columns if name not in {*parts.others, *unknown, parts.clock(table)})
