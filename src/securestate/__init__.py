@@ -34,7 +34,7 @@ from securestate.estimators import (
     Status,
     cold_start,
 )
-from securestate.identification import History, Identified, Verdict, identify, judge
+from securestate.identification import History, Identified, Refined, Verdict, identify, judge, refine
 from securestate.measurements import Measurements, read_history, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
@@ -66,6 +66,7 @@ __all__ = [
     "Plant",
     "PlantError",
     "ProtectedKalman",
+    "Refined",
     "Resilience",
     "ResumeError",
     "Run",
@@ -85,6 +86,7 @@ __all__ = [
     "judge",
     "read_history",
     "read_measurements",
+    "refine",
     "simulate",
     "write_run",
 ]

@@ -24,6 +24,7 @@ __all__ = [
     "mixture_fusion",
     "protected_kalman",
     "simulate",
+    "smooth",
     "sparse_fusion",
 ]
 
@@ -132,6 +133,9 @@ def simulate(
     y: _Float,
     noise: _Float,
 ) -> None: ...
+def smooth(
+    model: tuple[_Float, _Float, _Float, _Float, _Float], drive: _Float, y: _Float
+) -> dict[str, Any]: ...
 def protected_kalman(
     plant: Plant, protected: tuple[Plant, _Float | None, list[int]], quantiles: _Float
 ) -> Kernel: ...

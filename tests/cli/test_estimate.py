@@ -42,6 +42,31 @@ def test_honest_sensors_end_with_0(command: Command) -> None:
     assert "Fast path" in end.out
 
 
+def test_the_table_says_whom_no_other_sensor_can_vouch_for(command: Command, folder: Path) -> None:
+    nobody_for(("flow 1", "flow 2", "level"), folder)
+    rows = command(*LYING).out.splitlines()
+    cells = [row.split("  ")[0] for row in rows]
+    assert rows[cells.index("flow 1")].split()[2:5] == ["cannot", "be", "checked"]
+    assert "LIES" in rows[cells.index("flow 2 (cannot be checked)")]
+    assert "cannot be checked" not in rows[cells.index("flow 3")]
+    assert "cannot be checked" not in rows[cells.index("level (protected)")]
+    end = rows.index("2 of 4 sensors cannot be checked: no other sensor vouches for them.")
+    assert rows[end - 1] == "" and rows[end + 1].startswith("Steps: ")
+    assert "cannot be checked" not in command(*HONEST, "--quiet").out
+
+
+def nobody_for(names: tuple[str, ...], folder: Path) -> None:
+    """Mark sensors of the plant in the folder."""
+    sensors = [s.replaced(verifiable=s.name not in names) for s in PLANT.sensors]
+    ss.Plant(PLANT.A, PLANT.Q, sensors, dt=PLANT.dt, name=PLANT.name).save(folder / "plant.toml")
+
+
+def test_a_window_tells_who_was_heard_without_a_check(command: Command, folder: Path) -> None:
+    nobody_for(("flow 1",), folder)
+    out = " ".join(command(*HONEST, "--prior", "window").out.split())
+    assert "believed: flow 2, flow 3 and level; heard without a check: flow 1." in out
+
+
 def test_exit_zero_is_for_scripts_that_do_not_care(command: Command) -> None:
     assert command(*LYING, "--exit-zero").code == 0
 

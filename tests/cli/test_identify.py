@@ -175,7 +175,7 @@ def test_the_report_is_asked_for_with_the_names_of_the_files(
         path.write_text(f"{found.headline}|{source}")
         return path
 
-    monkeypatch.setattr("securestate.reporting.write_identification", write, raising=False)
+    monkeypatch.setattr("securestate.reporting.write_identification", write)
     options = ("--order", "1", "-o", "tank.toml", "--report", "report.html")
     done = command("identify", "history.csv", "other.csv", *options)
     assert "\nwrote tank.toml\nwrote report.html\nNext:" in done.out

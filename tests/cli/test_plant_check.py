@@ -27,6 +27,16 @@ def test_noise_is_shown_in_the_unit_of_the_files(command: Command) -> None:
     assert "m³/h" in flow
 
 
+def test_who_is_not_verifiable_is_shown_if_there_is_any(command: Command, folder: Path) -> None:
+    assert "verifiable" not in command("plant", "check", "plant.toml").out
+    sensors = [ss.Sensor("a", C=[1], R=1), ss.Sensor("b", C=[1], R=1, verifiable=False)]
+    ss.Plant([[0.5]], [[1]], sensors).save(folder / "plant.toml")
+    rows = command("plant", "check", "plant.toml").out.splitlines()
+    where = next(row for row in rows if row.startswith("sensor")).index("verifiable")
+    said = {row.split()[0]: row[where:].split()[0] for row in rows if row.startswith(("a ", "b "))}
+    assert said == {"a": "yes", "b": "no"}
+
+
 def test_an_unseen_unstable_mode_is_named_and_no_estimator_means_4(command: Command, folder: Path) -> None:
     sensors = [ss.Sensor("gauge", C=[0, 1], R=1)]
     plant = ss.Plant([[1.1, 0], [0, 0.5]], np.eye(2), sensors, state_names=["mass", "heat"])

@@ -117,6 +117,15 @@ def test_a_run_plots_every_sensor_and_a_batch_says_what_to_do() -> None:
         SparseFusion(liu()).run(y, u).plot()
 
 
+def test_a_plot_names_who_cannot_be_checked_and_colours_no_trust_in_it() -> None:
+    y, u = records(1, 7)
+    plain = liu()
+    sensors = [s.replaced(verifiable=i != 2) for i, s in enumerate(plain.sensors)]
+    trust = KalmanFilter(Plant(plain.A, plain.Q, sensors, B=plain.B)).run(y[0], u[0]).plot().data[0]
+    assert list(trust.y) == ["s1", "s2", "s3 (cannot be checked)", "s4", "s5"]
+    assert np.isnan(trust.z[2]).all() and (trust.z[3] == 1).all()
+
+
 def test_a_run_is_immutable_and_describes_itself() -> None:
     y, u = records(1, 7)
     run = SparseFusion(liu()).run(y[0], u[0])

@@ -1,4 +1,4 @@
-"""Sensors that no other can vouch for: the same estimates, and no trust without evidence, in any kind of run."""
+"""Sensors that no other can vouch for: the same estimates, no trust without evidence, in any kind of run."""
 
 from __future__ import annotations
 

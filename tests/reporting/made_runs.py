@@ -75,6 +75,15 @@ def made_run(
     )
 
 
+def unchecked(run: Run, sensors: tuple[int, ...]) -> Run:
+    """The same run of the same plant, in which nobody vouches for these sensors."""
+    plant = run.plant
+    kept = [s.replaced(verifiable=i not in sensors) for i, s in enumerate(plant.sensors)]
+    marked = Plant(plant.A, plant.Q, kept, dt=plant.dt, name=plant.name)
+    trust = np.where(marked.uncheckable & ~run.suspected, np.nan, run.trust)
+    return replace(run, plant=marked, trust=trust)
+
+
 def with_silence(run: Run, sensor: int, samples: slice) -> Run:
     """The same run with nothing received from one sensor in some samples."""
     trust, innovation, attack = run.trust.copy(), run.innovation.copy(), run.attack.copy()

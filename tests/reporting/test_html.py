@@ -17,7 +17,7 @@ from securestate.reporting import write_report
 from securestate.reporting.blocks import channel_labels, normalised_innovation
 from securestate.reporting.html import render
 from securestate.reporting.payload import Block, unpack
-from tests.reporting.made_runs import made_run, with_silence
+from tests.reporting.made_runs import made_run, unchecked, with_silence
 
 NASTY = [
     "</script><script>alert(1)</script>",
@@ -98,6 +98,28 @@ def test_a_sensor_with_an_isolated_alarm_or_a_gap_has_its_own_row() -> None:
     table = render(run).split("<tbody>")[1].split("</tbody>")[0]
     assert re.findall(r'data-label="Sensor">(XMEAS \d+)', table) == ["XMEAS 1", "XMEAS 3"]
     assert "isolated alarms" in table
+
+
+def test_sensors_that_cannot_be_checked_have_rows_a_remark_and_a_legend_that_say_so() -> None:
+    run = unchecked(made_run(liars=(1,)), (1, 2))
+    html = render(run)
+    rows = html.split("<tbody>")[1].split("</tbody>")[0]
+    verdicts = re.findall(r'data-label="Sensor">(XMEAS \d+)(.*?)</td>.*?"verdict-.*?">(.*?)<', rows)
+    tag = ' <span class="tag">cannot be checked</span>'
+    assert verdicts == [("XMEAS 2", tag, "lies"), ("XMEAS 3", "", "cannot be checked")]
+    assert "<p>2 of 5 sensors cannot be checked: no other sensor vouches for them.</p>" in html
+    assert "No alarm from 3 other sensors:" in html
+    assert "</span>sent nothing, or cannot be checked</span>" in html
+    assert [s["uncheckable"] for s in manifest_of(html)["sensors"]] == [False, True, True, False, False]
+    assert np.isnan(table_of(html, "trust")[:, 2]).all()
+    assert ">no</td>" in html.split("Verifiable</th>")[1]
+
+
+def test_a_plant_whose_sensors_can_all_be_checked_is_not_said_to_be_otherwise() -> None:
+    html = render(made_run(liars=(1,)))
+    assert "</span>sent nothing</span>" in html
+    page = "".join(Reader(html).text)
+    assert "cannot be checked" not in page and "Verifiable" not in page
 
 
 def test_charts_call_the_only_channel_of_a_sensor_by_the_name_of_the_sensor() -> None:

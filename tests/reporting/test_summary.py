@@ -7,7 +7,7 @@ from securestate import Plant, Sensor
 from securestate.errors import InputError
 from securestate.estimators.run import Run
 from securestate.reporting import summarise
-from tests.reporting.made_runs import SHIFT, made_run, with_silence
+from tests.reporting.made_runs import SHIFT, made_run, unchecked, with_silence
 
 
 def flagged(samples: list[int], length: int = 200) -> Run:
@@ -97,9 +97,9 @@ def test_a_lie_is_dated_from_its_stretch_not_from_an_earlier_isolated_alarm() ->
 
 def test_silence_between_suspected_samples_does_not_hide_a_lie() -> None:
     run = flagged(list(range(0, 200, 10)))
-    trust = run.trust.copy()
-    trust[~run.suspected[:, 0], 0] = np.nan
-    assert summarise(replace(run, trust=trust)).liars == ("XMEAS 1",)
+    for array in (run.trust, run.innovation, run.attack):
+        array[~run.suspected[:, 0], 0] = np.nan
+    assert summarise(run).liars == ("XMEAS 1",)
 
 
 def test_a_run_shorter_than_the_window_is_judged_on_what_it_has() -> None:
@@ -139,3 +139,30 @@ def test_a_batch_is_refused_by_name() -> None:
         summarise(replace(made_run(), x=np.zeros((2, 300, 3))))
     assert caught.value.argument == "run"
     assert "(2, 300, 3)" in caught.value.received
+
+
+@pytest.mark.parametrize(
+    ("sensors", "said"),
+    [
+        ((), ""),
+        ((1,), "1 of 5 sensors cannot be checked: no other sensor vouches for it."),
+        ((0, 1, 2), "3 of 5 sensors cannot be checked: no other sensor vouches for them."),
+        (
+            (1, 4),
+            "1 of 5 sensors cannot be checked: no other sensor vouches for it.",
+        ),  # the last is protected
+    ],
+)
+def test_it_is_said_how_many_sensors_cannot_be_checked(sensors: tuple[int, ...], said: str) -> None:
+    assert summarise(unchecked(made_run(), sensors)).caveat == said
+
+
+def test_a_sensor_that_cannot_be_checked_is_no_missing_sensor() -> None:
+    silent = with_silence(unchecked(made_run(), (0, 1)), 0, slice(0, 30))
+    assert [s.missing for s in summarise(silent).sensors] == [0.1, 0.0, 0.0, 0.0, 0.0]
+
+
+def test_alarms_of_a_sensor_that_cannot_be_checked_count_like_those_of_any_other() -> None:
+    for samples in ([50], list(range(50, 200, 3)), list(range(50, 60))):
+        plain = summarise(flagged(samples)).sensors[0]
+        assert replace(summarise(unchecked(flagged(samples), (0,))).sensors[0], uncheckable=False) == plain

@@ -243,7 +243,7 @@ def test_stabilised_adds_inputs_only_where_they_are_needed() -> None:
     correlated = Plant(
         np.diag([-2.0, 0.5, 0.1]),
         np.eye(3),
-        [Sensor("a", C=np.eye(3), offset=3.0, scale=2.0, unit="m", protected=True)],
+        [Sensor("a", C=np.eye(3), offset=3.0, scale=2.0, unit="m", protected=True, verifiable=False)],
         R=np.eye(3) + 0.1,
         B=[[0.0], [1.0], [0.0]],
         D=[[1.0], [2.0], [3.0]],
@@ -253,7 +253,7 @@ def test_stabilised_adds_inputs_only_where_they_are_needed() -> None:
     np.testing.assert_array_equal(kept.R, correlated.R)
     np.testing.assert_array_equal(kept.D[:, 0], [1.0, 2.0, 3.0])
     assert (kept.n_inputs, kept.units, bool(kept.protected[0])) == (4, ("m", "m", "m"), True)
-    assert list(kept.input_scale) == [5.0, 1.0, 1.0, 1.0]
+    assert list(kept.input_scale) == [5.0, 1.0, 1.0, 1.0] and not kept.verifiable[0]
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ mod mixture;
 mod mixture_fusion;
 mod plant;
 mod simulation;
+mod smoother;
 mod sparse_fusion;
 
 /// Run-time kernels of securestate.
@@ -43,6 +44,8 @@ mod _kernels {
     use super::mixture_fusion::mixture_fusion;
     #[pymodule_export]
     use super::simulation::simulate;
+    #[pymodule_export]
+    use super::smoother::smooth;
     #[pymodule_export]
     use super::sparse_fusion::{PenaltySolver, sparse_fusion};
 }

@@ -27,6 +27,7 @@ pub mod protected;
 pub mod reaction;
 pub mod record;
 pub mod simulation;
+pub mod smoother;
 pub mod sparse_fusion;
 pub mod units;
 

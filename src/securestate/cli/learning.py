@@ -112,7 +112,7 @@ def _write(found: Identified, order: Lesson) -> Iterator[str]:
     found.plant.save(order.out)
     yield f"wrote {order.out}"
     if order.report is not None:
-        from securestate.reporting import write_identification  # type: ignore[attr-defined,unused-ignore]
+        from securestate.reporting import write_identification
 
         source = ", ".join(path.name for path in order.history)
         yield f"wrote {write_identification(found, order.report, source=source)}"

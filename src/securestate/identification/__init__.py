@@ -3,6 +3,19 @@
 from securestate.identification.history import History
 from securestate.identification.identify import Identified, identify
 from securestate.identification.judge import SensorEvidence, Verdict, judge
-from securestate.identification.verdict import Grade, Problem
+from securestate.identification.refine import Refined, refine
+from securestate.identification.verdict import Criterion, Grade, Problem
 
-__all__ = ["Grade", "History", "Identified", "Problem", "SensorEvidence", "Verdict", "identify", "judge"]
+__all__ = [
+    "Criterion",
+    "Grade",
+    "History",
+    "Identified",
+    "Problem",
+    "Refined",
+    "SensorEvidence",
+    "Verdict",
+    "identify",
+    "judge",
+    "refine",
+]

@@ -116,24 +116,34 @@ def _noise(model: Independent, history: History, prepared: Prepared) -> Array:
 def scaled_noise(plant: Plant, factor: float) -> Plant:
     """The same plant with every noise larger by this factor, as a variance: the same gains, larger errors."""
     sensors = [sensor.replaced(R=None if sensor.R is None else factor * sensor.R) for sensor in plant.sensors]
-    return _rebuilt(plant, factor * plant.Q, sensors, factor * plant.R)
+    return _rebuilt(plant, plant.A, plant.B, factor * plant.Q, sensors, factor * plant.R)
 
 
 def marked(plant: Plant, verifiable: Mapping[str, bool]) -> Plant:
     """The same plant, its sensors marked as verifiable or not."""
     sensors = [sensor.replaced(verifiable=verifiable[sensor.name]) for sensor in plant.sensors]
-    return _rebuilt(plant, plant.Q, sensors, plant.R)
+    return _rebuilt(plant, plant.A, plant.B, plant.Q, sensors, plant.R)
 
 
-def _rebuilt(plant: Plant, Q: Array, sensors: Sequence[Sensor], R: Array) -> Plant:
-    """The same plant with these noises and sensors."""
+def with_matrices(plant: Plant, model: Independent) -> Plant:
+    """The same plant with the matrices of this model, whose channels are the plant's."""
+    sensors = []
+    for i, sensor in enumerate(plant.sensors):
+        rows = plant.channels_of(i)
+        R = None if sensor.R is None else np.diag(model.r[rows])
+        D = model.D[rows] if np.any(model.D) else None
+        sensors.append(sensor.replaced(C=model.C[rows], R=R, D=D))
+    return _rebuilt(plant, model.A, model.B, model.Q, sensors, np.diag(model.r))
+
+
+def _rebuilt(plant: Plant, A: Array, B: Array, Q: Array, sensors: Sequence[Sensor], R: Array) -> Plant:
+    """The same plant with these matrices and sensors, which carry their own D if they have one."""
     own = all(sensor.R is not None for sensor in sensors)
     return Plant(
-        plant.A,
+        A,
         Q,
         sensors,
-        B=plant.B if plant.n_inputs else None,
-        D=None if any(sensor.D is not None for sensor in sensors) else plant.D,
+        B=B if plant.n_inputs else None,
         R=None if own else R,
         dt=plant.dt,
         state_names=plant.state_names,

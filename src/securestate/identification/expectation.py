@@ -22,6 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from securestate.errors import InputError
+from securestate.estimators._smoother import smooth
 from securestate.identification._scan import scan
 from securestate.identification.forms import (
     Independent,
@@ -125,46 +127,24 @@ def expect_with_gaps(model: Independent, record: Record) -> Moments:
     # The start is not known: its covariance is that of the state in the long run, as `Predictor` assumes.
     start = spread(model.A, model.Q + model.B @ model.B.T)
     for y, u in record:
-        _smooth(model, start, y, u, sums)
+        _add_smoothed(model, start, y, u, sums)
     return sums
 
 
-def _smooth(model: Independent, start: Array, y: Array, u: Array, sums: Moments) -> None:
+def _add_smoothed(model: Independent, start: Array, y: Array, u: Array, sums: Moments) -> None:
     """One segment of `expect_with_gaps`."""
-    N, n, A = len(y), model.n, model.A
-    present = np.isfinite(y)
-    moved, through = u @ model.B.T, u @ model.D.T
-    x, P = np.zeros(n), start
-    predicted, predicted_cov = np.empty((N, n)), np.empty((N, n, n))
-    states, covs = np.empty((N, n)), np.empty((N, n, n))
-    for k in range(N):
-        predicted[k], predicted_cov[k] = x, P
-        seen = present[k]
-        if seen.any():
-            C = model.C[seen]
-            e = y[k, seen] - C @ x - through[k, seen]
-            S = C @ P @ C.T
-            S[np.diag_indices_from(S)] += model.r[seen]
-            factor = linalg.cho_factor(S, lower=True, check_finite=False)
-            L = linalg.cho_solve(factor, C @ P, check_finite=False).T
-            whitened = linalg.cho_solve(factor, e, check_finite=False)
-            size = 2 * np.sum(np.log(np.diag(factor[0]))) + len(e) * np.log(2 * np.pi)
-            sums.likelihood -= 0.5 * float(e @ whitened + size)
-            x, P = x + L @ e, symmetric(P - L @ C @ P)
-        states[k], covs[k] = x, P
-        x, P = A @ x + moved[k], symmetric(A @ P @ A.T + model.Q)
-    for k in range(N - 2, -1, -1):
-        J = np.linalg.solve(predicted_cov[k + 1], A @ covs[k]).T
-        states[k] += J @ (states[k + 1] - predicted[k + 1])
-        sums.zx[:n] += J @ covs[k + 1]
-        covs[k] += J @ (covs[k + 1] - predicted_cov[k + 1]) @ J.T
-    whole = covs.sum(axis=0)
-    sums.zz[:n, :n] += whole - covs[-1]
-    sums.xx += whole - covs[0]
-    sums.gg[:n, :n] += whole
+    n, through = model.n, u @ model.D.T
+    try:
+        found = smooth(model.A, model.C, model.Q, model.r, start, u @ model.B.T, y - through)
+    except InputError as reason:
+        raise np.linalg.LinAlgError(str(reason)) from None
+    sums.likelihood += found.likelihood
+    sums.zx[:n] += found.crossed
+    sums.zz[:n, :n] += found.whole - found.last
+    sums.xx += found.whole - found.first
+    sums.gg[:n, :n] += found.whole
     # A missing y is estimated, too: y = C x + D u + v, so that E y^2 and E z y have its covariance.
-    _add(sums, states, np.where(present, y, states @ model.C.T + through), u)
-    for i in np.flatnonzero(~present.all(axis=0)):
-        without = covs[~present[:, i]]
-        sums.gy[:n, i] += without.sum(axis=0) @ model.C[i]
-        sums.yy[i] += model.C[i] @ without.sum(axis=0) @ model.C[i] + len(without) * model.r[i]
+    missing = np.isnan(y)
+    _add(sums, found.states, np.where(missing, found.states @ model.C.T + through, y), u)
+    sums.gy[:n] += np.einsum("mij,mj->im", found.absent, model.C)
+    sums.yy += np.einsum("mi,mij,mj->m", model.C, found.absent, model.C) + missing.sum(axis=0) * model.r

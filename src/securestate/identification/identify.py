@@ -24,13 +24,14 @@ from securestate.errors import InputError, MeasurementError, SecurestateWarning
 from securestate.identification.assemble import assemble, grouped, marked, scaled_noise
 from securestate.identification.forms import EDGE, Independent, Innovations, Segment
 from securestate.identification.history import History, numbered
-from securestate.identification.judge import VERIFIABLE, Verdict, fitting, judged
+from securestate.identification.judge import VERIFIABLE, Verdict, judged
 from securestate.identification.lags import past_length
 from securestate.identification.maximise import Fit, Freedom, maximise
-from securestate.identification.order import TRIAL, OrderSearch, score, search
+from securestate.identification.order import COSTLY, TRIAL, OrderSearch, score, search
 from securestate.identification.prepare import FILLED, Prepared, complete, prepare, split
 from securestate.identification.redundancy import explained, left_out
 from securestate.identification.subspace import Subspace
+from securestate.identification.verdict import Grade
 from securestate.plant import Plant
 
 Array = NDArray[np.float64]
@@ -48,8 +49,8 @@ LEAST, LEAST_EACH = 50, 3
 #: Orders of innovations forms at most.
 LARGEST = 20
 
-#: Nats per sample and channel from which on the innovations form, not the plant, is asked what sensors share.
-COSTLY = 0.01
+#: The past is tried so many times as long as the regression on it alone would have it; regressors at most.
+LONGER, MOST_REGRESSORS = (1, 2, 3), 800
 
 
 @final
@@ -207,10 +208,9 @@ class _Task:
         for remark in remarks:
             warnings.warn(remark, SecurestateWarning, stacklevel=4)
         self.tell("looking at the past", 0, 1)
-        past, largest = self._past(order)
-        subspace = Subspace(self.fitted, past, self.feedthrough, self.edge)
-        found, trial = search(
-            subspace,
+        pasts, largest = self._pasts(order)
+        found, trial, subspace = search(
+            [Subspace(self.fitted, past, self.feedthrough, self.edge) for past in pasts],
             self.fitted,
             self.kept,
             self.prepared.floor,
@@ -231,7 +231,7 @@ class _Task:
             plant=marked(scaled_noise(plant, factor), sure),
             verdict=verdict,
             search=found,
-            innovations=Subspace(self.stretches, past, self.feedthrough, self.edge).model(best),
+            innovations=Subspace(self.stretches, found.past, self.feedthrough, self.edge).model(best),
             channels=tuple(self.history.channel_names[group.channels[0]] for group in self.prepared.groups),
             likelihoods=fit.likelihoods,
             noise_factor=factor,
@@ -240,8 +240,11 @@ class _Task:
             missing=self.history.missing,
         )
 
-    def _past(self, order: int | None) -> tuple[int, int]:
-        """How many samples of the past the regressions use, and the largest order of innovations forms."""
+    def _pasts(self, order: int | None) -> tuple[list[int], int]:
+        """Lengths of the past that are tried, and the largest order of innovations forms.
+
+        The regression on the past has its own best length; low orders often gain from a longer one.
+        """
         m, width = len(self.prepared.groups), len(self.prepared.groups) + len(self.prepared.inputs)
         lengths = np.array([len(y) for y, _ in self.fitted])
         total = int(lengths.sum())
@@ -249,9 +252,12 @@ class _Task:
         while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
             longest -= 1
         largest = max(2, min(LARGEST, total // 20)) if order is None else order
-        past = max(2, past_length(self.fitted, longest, self.feedthrough))
-        wanted = max(past, int(np.ceil(1.5 * largest / m)))
-        return min(wanted, max(2, total // (3 * width))), largest
+        best = max(2, past_length(self.fitted, longest, self.feedthrough))
+        most = max(2, min(total // (3 * width), MOST_REGRESSORS // width))
+        while most > 2 and np.maximum(lengths - most, 0).sum() < 0.8 * total:
+            most -= 1
+        least = int(np.ceil(1.5 * largest / m))
+        return sorted({min(max(factor * best, least), most) for factor in LONGER}), largest
 
     def _checked(self, trial: Independent) -> tuple[Independent, int]:
         """The trial fit climbed further, if that predicts the samples kept back better; and in how many
@@ -269,7 +275,12 @@ class _Task:
             progress=self._bar("fitting"),
         )
         better = score(further.model, self.kept).mean() > score(trial, self.kept).mean()
-        return (further.model, steps) if better else (trial, TRIAL[1])
+        model, steps = (further.model, steps) if better else (trial, TRIAL[1])
+        if self.gaps:
+            model = self._with_gaps(
+                model, split(self.prepared.segments, KEPT_BACK)[0], "fitting with gaps"
+            ).model
+        return model, steps
 
     def _final(self, start: Independent, steps: int) -> Fit:
         """Maximum likelihood on all of the history."""
@@ -283,18 +294,18 @@ class _Task:
             steps=steps,
             progress=self._bar("fitting all"),
         )
-        if not self.gaps:
-            return fit
+        return (
+            fit
+            if not self.gaps
+            else self._with_gaps(fit.model, self.prepared.segments, "fitting all with gaps")
+        )
+
+    def _with_gaps(self, model: Independent, record: Sequence[Segment], stage: str) -> Fit:
+        """A few more steps with the exact filter for missing channels."""
         em, steps = WITH_GAPS
+        floor, freedom = self.prepared.floor, self._freedom(model)
         return maximise(
-            fit.model,
-            self.prepared.segments,
-            freedom,
-            self.prepared.floor,
-            em=em,
-            steps=steps,
-            gaps=True,
-            progress=self._bar("fitting with gaps"),
+            model, record, freedom, floor, em=em, steps=steps, gaps=True, progress=self._bar(stage)
         )
 
     def _bar(self, stage: str) -> Callable[[int, int], None]:
@@ -313,13 +324,17 @@ class _Task:
         name: str,
     ) -> Verdict:
         """The verdict on this model by the held-out record, or by the samples kept back."""
-        judged_plant = assemble(model, self.history, self.prepared, channels, name)
+        # Of channels that repeat each other one is judged: what tells them apart says nothing of the model.
+        first = {group.channels[0] for group in self.prepared.groups}
+        alone = {sensor: [i for i in rows if i in first] for sensor, rows in channels.items()}
+        alone = {sensor: rows for sensor, rows in alone.items() if rows}
+        judged_plant = assemble(model, self.history, self.prepared, alone, name)
         kept = replace(self.history, segments=tuple(split(self.history.segments, KEPT_BACK)[1]))
-        record = fitting(plant, self.other or kept).segments
+        names = judged_plant.channel_names
+        record = (self.other or kept).select(names, plant.input_names).segments
         law = None
-        order = [self.history.channel_names.index(channel) for channel in plant.channel_names]
-        alone = len(order) == len(self.prepared.groups)
-        if alone and found.cost > COSTLY * len(order):
+        order = [self.history.channel_names.index(channel) for channel in names]
+        if found.cost > COSTLY * len(order):
             best = subspace.model(max(found.innovations, key=lambda n: found.innovations[n]))
             place = [self._group_of(channel) for channel in order]
             law = replace(
@@ -348,7 +363,7 @@ class _Task:
         found = verdict.residuals
         readings = max(int(found.channels.sum()), 1)
         excess = found.size - 1
-        if excess < 2 * np.sqrt(2 / readings):
+        if verdict.grade is Grade.INADEQUATE or excess < 2 * np.sqrt(2 / readings):
             return 1.0
         return float(1 + excess * (1.0 if self.other else 1 - KEPT_BACK))
 

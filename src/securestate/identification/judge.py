@@ -18,7 +18,7 @@ from securestate.identification.forms import Innovations, Segment
 from securestate.identification.history import History, numbered
 from securestate.identification.redundancy import explained, left_out
 from securestate.identification.residuals import WARM_UP, Residuals, residuals
-from securestate.identification.verdict import Grade, Problem, overall, problems
+from securestate.identification.verdict import Criterion, Grade, Problem, criteria, overall, problems
 from securestate.plant import Plant
 
 Array = NDArray[np.float64]
@@ -74,7 +74,7 @@ class Verdict:
         grade: good, usable or inadequate.
         problems: what is wrong, the gravest first.
         sensors: evidence per sensor, in the plant's order.
-        residuals: the numbers behind it.
+        residuals: the numbers behind it. criteria: those that the grade rests on, with their limits.
         blamed: sensors without which an inadequate model fits; empty if there are none such, or none is
             needed.
     """
@@ -83,6 +83,7 @@ class Verdict:
     problems: tuple[Problem, ...]
     sensors: tuple[SensorEvidence, ...]
     residuals: Residuals
+    criteria: tuple[Criterion, ...]
     blamed: tuple[str, ...] = ()
 
     @property
@@ -99,14 +100,19 @@ class Verdict:
         samples = count(found.samples, "sample")
         yield {
             Grade.GOOD: f"The model is good: on {samples} it was not fitted to, its errors are what it says "
-            f"({found.size:.2f} times the variance; {found.exceed:.1%} beyond the limit for 5 %).",
+            f"({found.size:.2f} times the variance; {100 * found.exceed:.1f} % beyond the limit for 5 %).",
             Grade.USABLE: f"The model is usable, judged by {samples} it was not fitted to.",
             Grade.INADEQUATE: f"The model is inadequate, judged by {samples} it was not fitted to: "
             "do not judge sensors by it.",
         }[self.grade]
         yield from (str(problem) for problem in self.problems)
+        if self.grade is Grade.INADEQUATE:
+            return  # what it says of the sensors means nothing
         named = self.verifiable
         total = len(self.sensors)
+        if total == 1:
+            yield f"There is no other sensor that could check {self.sensors[0].name}."
+            return
         if not named:
             yield "No sensor can be checked: the others explain less than half of each one's variation."
         elif len(named) == total:
@@ -183,14 +189,20 @@ def judged(
     """
     with one_blas_thread():
         found = residuals(plant, record)
-        wrong = list(problems(found, plant.channel_names, parameters))
+        if found.samples:
+            looked_at = tuple(criteria(found, plant.channel_names, parameters))
+            wrong = problems(looked_at)
+        else:
+            looked_at = ()
+            wrong = [Problem(Grade.INADEQUATE, "There is no sample to judge the model by.")]
         blamed: tuple[str, ...] = ()
-        if found.size > RESTORED and overall(wrong) is Grade.INADEQUATE:
-            blamed = _blame(plant, record)
-            wrong.append(_reason(blamed))
+        tried = min(BLAMED, plant.n_sensors - 1)
+        if tried and found.size > RESTORED and overall(wrong) is Grade.INADEQUATE:
+            blamed = _blame(plant, record, tried)
+            wrong.append(_reason(blamed, tried))
         wrong.sort(key=lambda problem: problem.grade is not Grade.INADEQUATE)
         sensors = tuple(_evidence(plant, record, found, law))
-    return Verdict(overall(wrong), tuple(wrong), sensors, found, blamed)
+    return Verdict(overall(wrong), tuple(wrong), sensors, found, looked_at, blamed)
 
 
 def _evidence(
@@ -251,12 +263,12 @@ def _left_out_with_gaps(
     return remains, readings
 
 
-def _blame(plant: Plant, record: Sequence[Segment]) -> tuple[str, ...]:
-    """The fewest sensors, at most `BLAMED`, found one after the other, without which the model fits."""
+def _blame(plant: Plant, record: Sequence[Segment], most: int) -> tuple[str, ...]:
+    """The fewest sensors, at most `most`, found one after the other, without which the model fits."""
     estimator = KalmanFilter(plant)
     record = [(y[:GAP_SAMPLES], u[:GAP_SAMPLES]) for y, u in record]
     out: list[int] = []
-    while len(out) < min(BLAMED, plant.n_sensors - 1):
+    while len(out) < most:
         sizes = {i: _size_without(estimator, [*out, i], record) for i in _worst(estimator, out, record)}
         out.append(min(sizes, key=lambda i: sizes[i]))
         if sizes[out[-1]] <= RESTORED:
@@ -301,13 +313,13 @@ def _runs(
         yield z, run.diagnostics["nis"][skip:], run.diagnostics["channels"][skip:]
 
 
-def _reason(blamed: Sequence[str]) -> Problem:
+def _reason(blamed: Sequence[str], tried: int) -> Problem:
     if blamed:
         verb = "this sensor is" if len(blamed) == 1 else "these sensors are"
         text = f"Without {enumerate_names(blamed)} the rest fits: more likely {verb} wrong than the model."
     else:
         text = (
-            f"Leaving out up to {BLAMED} sensors does not help: more likely the plant is not the model's "
-            "than that they lie."
+            f"Leaving out {'a sensor' if tried == 1 else f'up to {tried} sensors'} does not help: more "
+            "likely the plant has changed, or was never what the model says, than that sensors lie."
         )
     return Problem(Grade.INADEQUATE, text)

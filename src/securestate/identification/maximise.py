@@ -45,6 +45,8 @@ IMPOSSIBLE = 1e10
 class Freedom:
     """Which entries may change: True where free, in the shapes of A, B, C, D and r; `blocks`: of Q.
 
+    `limit`: largest |eigenvalue| of A. `own_coordinates`: the state keeps its meaning whatever is free.
+
     Q is free in blocks: index sets without common states, each with a covariance of its own; entries between
     blocks and outside of them stay.
     """
@@ -56,6 +58,7 @@ class Freedom:
     blocks: tuple[NDArray[np.int64], ...]
     r: Flags
     limit: float = EDGE
+    own_coordinates: bool = False
 
     @classmethod
     def all(cls, model: Independent, feedthrough: bool) -> Freedom:
@@ -67,6 +70,8 @@ class Freedom:
     @property
     def coordinates(self) -> bool:
         """Whether the state's coordinates are free to be chosen."""
+        if self.own_coordinates:
+            return False
         return bool(self.A.all() and self.B.all() and self.C.all()) and [len(b) for b in self.blocks] == [
             len(self.A)
         ]

@@ -8,7 +8,7 @@ best.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
 
@@ -34,6 +34,9 @@ BLOCK = 25
 
 #: A smaller order may predict worse by this many nats per sample and channel.
 NEGLIGIBLE = 0.002
+
+#: Nats per sample and channel that independent noises may lose before that matters.
+COSTLY = 0.01
 
 #: Steps up from the shortlisted orders, and how many in a row may fail to help.
 CLIMB, PATIENCE = (1, 1, 1, 2, 2, 3, 3, 4, 4), 2
@@ -63,24 +66,27 @@ class OrderSearch:
 
 
 def search(
-    subspace: Subspace,
+    subspaces: Sequence[Subspace],
     fitted: Record,
     kept_back: Record,
     floor: Array,
     order: int | None,
     largest: int,
     tell: Callable[[str], None],
-) -> tuple[OrderSearch, Independent]:
-    """Choose an order; return it with the model of that order fitted to `fitted`.
+) -> tuple[OrderSearch, Independent, Subspace]:
+    """Choose a past and an order; return them with the model of that order fitted to `fitted`.
 
     Args:
-        subspace: of `fitted`. kept_back: the samples that judge.
+        subspaces: of `fitted`, one per length of the past that is tried. kept_back: the samples that judge.
         order: the order if it is not to be chosen. largest: of the innovations forms.
         tell: called with the order that is fitted next.
     """
-    forms = _innovations(subspace, kept_back, range(1, largest + 1) if order is None else (order,))
-    if not forms:
+    orders = range(1, largest + 1) if order is None else (order,)
+    tried = [(_innovations(subspace, kept_back, orders), subspace) for subspace in subspaces]
+    tried = [(forms, subspace) for forms, subspace in tried if forms]
+    if not tried:
         raise np.linalg.LinAlgError("no model of any order")
+    forms, subspace = max(tried, key=lambda pair: max(values.mean() for values in pair[0].values()))
     trials: dict[int, tuple[Array, Independent]] = {}
 
     def fit(n: int) -> None:
@@ -95,7 +101,7 @@ def search(
     else:
         fit(_smallest(forms, 0.0))
         fit(best)
-        _climb(trials, fit)
+        _climb(trials, fit, float(forms[best].mean()) - COSTLY * subspace.m, best + subspace.m)
         chosen = _smallest({n: values for n, (values, _) in trials.items()}, NEGLIGIBLE * subspace.m)
     scores = {n: float(values.mean()) for n, (values, _) in sorted(trials.items())}
     found = OrderSearch(
@@ -105,7 +111,7 @@ def search(
         independent=scores,
         cost=float(forms[best].mean()) - max(scores.values()),
     )
-    return found, trials[chosen][1]
+    return found, trials[chosen][1], subspace
 
 
 def _innovations(subspace: Subspace, kept_back: Record, orders: range | tuple[int, ...]) -> dict[int, Array]:
@@ -145,8 +151,14 @@ def _trial(
     )
 
 
-def _climb(trials: Mapping[int, tuple[Array, Independent]], fit: Callable[[int], None]) -> None:
-    """Fit larger orders until that has not helped for a while."""
+def _climb(
+    trials: Mapping[int, tuple[Array, Independent]], fit: Callable[[int], None], enough: float, reach: int
+) -> None:
+    """Fit larger orders until that has not helped for a while.
+
+    While the likelihood is below `enough`, what an innovations form has, orders up to `reach` are fitted:
+    noises that sensors share are states of their own if every sensor has an independent noise.
+    """
     n, failed = max(trials), 0
     for step in CLIMB:
         n += step
@@ -155,7 +167,7 @@ def _climb(trials: Mapping[int, tuple[Array, Independent]], fit: Callable[[int],
         if n not in trials:
             return
         failed = failed + 1 if trials[n][0].mean() <= best else 0
-        if failed >= PATIENCE:
+        if failed >= PATIENCE and (best >= enough or n >= reach):
             return
 
 

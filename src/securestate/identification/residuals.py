@@ -8,7 +8,7 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from securestate.estimators.kalman import KalmanFilter
 from securestate.identification._scan import scan
@@ -33,6 +33,7 @@ class Residuals:
     """Standardised innovations of a record, and what they say.
 
     Attributes:
+        names: of the channels judged: of channels that repeat each other one.
         segments: innovation / its standard deviation, (N, m) per segment, NaN where nothing was read.
         nis: normalised innovation squared per sample, (T,); channels: how many channels it counts, (T,).
         size: nis per channel: 1 if errors are as large as the model says.
@@ -49,6 +50,7 @@ class Residuals:
         counted: readings per channel, (m,).
     """
 
+    names: tuple[str, ...]
     segments: tuple[Array, ...]
     nis: Array
     channels: NDArray[np.int64]
@@ -75,7 +77,21 @@ class Residuals:
     def repeats(self) -> float:
         """Root mean square over channels of the autocorrelation at lag 1, less what chance alone gives."""
         chance = 1 / np.maximum(self.counted, 1)
-        return float(np.sqrt(max(0.0, np.nanmean(self.repeat[0] ** 2 - chance))))
+        return float(np.sqrt(max(0.0, float(np.mean(np.nan_to_num(self.repeat[0]) ** 2 - chance)))))
+
+    @property
+    def colour_by_channel(self) -> Array:
+        """Root of the sum of squared autocorrelations over all lags, less what chance alone gives, (m,)."""
+        return np.asarray(np.sqrt(np.maximum(0.0, self._colours())))
+
+    @property
+    def colour(self) -> float:
+        """The same over all channels, root mean square."""
+        return float(np.sqrt(max(0.0, float(np.mean(self._colours())))))
+
+    def _colours(self) -> Array:
+        chance = LAGS / np.maximum(self.counted, 1)
+        return np.asarray(np.sum(np.nan_to_num(self.repeat) ** 2, axis=0) - chance)
 
 
 def residuals(plant: Plant, record: Sequence[Segment]) -> Residuals:
@@ -120,15 +136,16 @@ def _summed(
     blocks = _block_means(nis / np.maximum(channels, 1))
     level, level_error = _level(plant, record)
     return Residuals(
+        names=plant.channel_names,
         segments=parts,
         nis=nis,
         channels=channels,
         size=float(nis.sum() / max(channels.sum(), 1)),
-        exceed=float(np.mean(nis > stats.chi2.ppf(0.95, channels))) if len(nis) else float("nan"),
-        extreme=float(np.mean(nis > stats.chi2.ppf(0.999, channels))) if len(nis) else float("nan"),
+        exceed=float(np.mean(nis > special.chdtri(channels, 0.05))) if len(nis) else float("nan"),
+        extreme=float(np.mean(nis > special.chdtri(channels, 0.001))) if len(nis) else float("nan"),
         variance=_mean(whole**2),
         repeat=repeat,
-        ljung_box=np.asarray(stats.chi2.sf(portmanteau, LAGS)),
+        ljung_box=np.asarray(special.chdtrc(LAGS, portmanteau)),
         shift=_mean(whole),
         change=_mean(whole[half:]) - _mean(whole[:half]),
         worst_block=float(blocks.max()),

@@ -1,4 +1,4 @@
-"""Is this model good enough to judge sensors by? A grade, and one plain sentence per problem."""
+"""Is this model good enough to judge sensors by? Criteria with limits, and a plain sentence per problem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate._words import enumerate_names
-from securestate.identification.residuals import Residuals
+from securestate.identification.residuals import LAGS, Residuals
 
 Array = NDArray[np.float64]
 
@@ -22,6 +22,76 @@ class Grade(StrEnum):
     GOOD = "good"
     USABLE = "usable"
     INADEQUATE = "inadequate"
+
+
+@final
+@dataclass(frozen=True)
+class Limits:
+    """From where on a number is a problem: `usable` of a usable model, `inadequate` of an inadequate one."""
+
+    usable: float
+    inadequate: float
+
+    def grade(self, value: float) -> Grade:
+        """The best grade that a model with this number can have."""
+        if not value <= self.inadequate:
+            return Grade.INADEQUATE
+        return Grade.USABLE if value > self.usable else Grade.GOOD
+
+
+#: Prediction errors over what the model says, as a variance: too large, and (inverse) too small.
+TOO_LARGE, TOO_SMALL = Limits(1.15, 1.5), Limits(1 / 0.9, 1 / 0.7)
+
+#: Share of samples above the 5 % limit.
+EXCEED = Limits(0.08, 0.20)
+
+#: Autocorrelation of innovations at lag 1: over all channels (root mean square), and of the worst.
+REPEATS, REPEATS_WORST = Limits(0.08, 0.15), Limits(0.3, np.inf)
+
+#: The same over ten lags (root of the sum of squares): oscillations that the model lacks.
+COLOUR = Limits(0.2, 0.35)
+
+#: Shift of innovations, of their halves, or of the level, in standard deviations.
+SHIFT = Limits(0.35, 1.0)
+
+#: What may be chance counts as nothing: up to so many standard errors, and of a share so many.
+SURE, SURE_SHARE = 4.0, 3.0
+
+#: The worst block over the median block.
+COLLAPSE = Limits(np.inf, 4.0)
+
+#: Growth of errors on new data because parameters were fitted, 2 k / (N m).
+TOO_FEW = Limits(0.06, 0.25)
+
+
+@final
+@dataclass(frozen=True)
+class Criterion:
+    """One number that a grade rests on.
+
+    Attributes:
+        name: what it is, in a few words.
+        shown: the number. channel: the channel it belongs to; empty if it is of all.
+        value: what is compared with the limits: `shown`, its inverse if it is too small, or 0 if it may be
+            chance.
+        limits: from where on a model is only usable, or inadequate.
+        text: a sentence for an engineer, if it is a problem.
+        ideal: of a perfect model. unit: "", "%" of a share, or "sd".
+    """
+
+    name: str
+    shown: float
+    channel: str
+    value: float
+    limits: Limits
+    text: str
+    ideal: float = 0.0
+    unit: str = ""
+
+    @property
+    def grade(self) -> Grade:
+        """The best grade that a model with this number can have."""
+        return self.limits.grade(self.value)
 
 
 @final
@@ -41,120 +111,149 @@ class Problem:
         return self.text
 
 
-@final
-@dataclass(frozen=True)
-class Limits:
-    """From where on a number is a problem: `usable` of a usable model, `inadequate` of an inadequate one."""
-
-    usable: float
-    inadequate: float
-
-    def grade(self, value: float) -> Grade | None:
-        """The best grade that a model with this number can have, None if there is nothing to say."""
-        if not value <= self.inadequate:
-            return Grade.INADEQUATE
-        return Grade.USABLE if value > self.usable else None
-
-
-#: Prediction errors over what the model says, as a variance: too large, and (inverse) too small.
-TOO_LARGE, TOO_SMALL = Limits(1.15, 1.5), Limits(1 / 0.9, 1 / 0.7)
-
-#: Share of samples above the 5 % limit.
-EXCEED = Limits(0.08, 0.20)
-
-#: Autocorrelation of innovations at lag 1: over all channels (root mean square), and of the worst.
-REPEATS, REPEATS_WORST = Limits(0.08, 0.15), Limits(0.3, np.inf)
-
-#: Shift of innovations, of their halves, or of the level, in standard deviations.
-SHIFT = Limits(0.35, 1.0)
-
-#: A shift counts from so many standard errors on.
-SURE = 4.0
-
-#: The worst block over the median block.
-COLLAPSE = Limits(np.inf, 4.0)
-
-#: Growth of errors on new data because parameters were fitted, 2 k / (N m).
-TOO_FEW = Limits(0.06, 0.5)
-
-
-def problems(found: Residuals, names: Sequence[str], parameters: float | None) -> Iterator[Problem]:
-    """Everything that is wrong with a model, judged by a record it was not fitted to.
+def criteria(found: Residuals, names: Sequence[str], parameters: float | None) -> Iterator[Criterion]:
+    """Everything a model is judged by, on a record it was not fitted to.
 
     Args:
-        found: of that record. names: of the channels, (m,).
+        found: of that record, which has samples. names: of the channels, (m,).
         parameters: expected growth of errors because of the number of parameters; None if not known.
     """
-    if found.samples == 0:
-        yield Problem(Grade.INADEQUATE, "There is no sample to judge the model by.")
-        return
-    yield from _size(found)
+    yield _size(found)
+    yield _exceed(found)
     yield from _whiteness(found, names)
     yield from _shift(found, names)
-    grade = COLLAPSE.grade(found.worst_block / max(found.median_block, 0.25))
-    if grade is not None:
-        yield Problem(
-            grade,
-            f"The fit collapses in part of the record: errors there are {found.worst_block:.1f} times what "
-            f"the model says, elsewhere {found.median_block:.1f} times.",
-        )
-    grade = None if parameters is None else TOO_FEW.grade(parameters)
-    if grade is not None and parameters is not None:
-        yield Problem(
-            grade,
+    worst = found.worst_block / max(found.median_block, 0.25)
+    yield Criterion(
+        "Worst part of the record over the median",
+        worst,
+        "",
+        worst,
+        COLLAPSE,
+        f"The fit collapses in part of the record: errors there are {found.worst_block:.3g} times what the "
+        f"model says, elsewhere {found.median_block:.3g} times.",
+        ideal=1.0,
+    )
+    if parameters is not None:
+        yield Criterion(
+            "Growth of errors because parameters were fitted",
+            parameters,
+            "",
+            parameters,
+            TOO_FEW,
             "Too little data: the model has so many parameters that its errors grow by about "
-            f"{parameters:.0%} on new data for that reason alone.",
+            f"{100 * parameters:.0f} % on new data for that reason alone.",
+            unit="%",
         )
 
 
-def _size(found: Residuals) -> Iterator[Problem]:
-    grade = TOO_LARGE.grade(found.size) or TOO_SMALL.grade(1 / max(found.size, 1e-300))
-    if grade is not None:
-        yield Problem(
-            grade, f"Prediction errors have {found.size:.2f} times the variance that the model says."
-        )
-    noise = 3 * np.sqrt(0.05 * 0.95 / found.samples)
-    grade = EXCEED.grade(found.exceed) if found.exceed > 0.05 + noise else None
-    if grade is not None:
-        yield Problem(grade, f"{found.exceed:.0%} of the samples are beyond the limit for 5 %.")
+def _size(found: Residuals) -> Criterion:
+    small = found.size < 1
+    return Criterion(
+        "Errors over what the model says, as a variance",
+        found.size,
+        "",
+        1 / max(found.size, 1e-300) if small else found.size,
+        TOO_SMALL if small else TOO_LARGE,
+        f"Prediction errors have {found.size:,.3g} times the variance that the model says.",
+        ideal=1.0,
+    )
 
 
-def _whiteness(found: Residuals, names: Sequence[str]) -> Iterator[Problem]:
-    first = np.abs(np.nan_to_num(found.repeat[0]))
-    sure = first > SURE / np.sqrt(np.maximum(found.counted, 1))
-    grade = REPEATS.grade(found.repeats) if sure.any() else None
-    worst = REPEATS_WORST.grade(float(first[sure].max())) if sure.any() else None
-    if grade is not None:
-        yield Problem(
-            grade,
-            f"Errors repeat themselves from sample to sample (correlation {found.repeats:.2f}): the model "
-            f"lacks dynamics. Worst: {_worst(first, names)}.",
-        )
-    elif worst is not None:
-        yield Problem(worst, f"The errors of some sensors repeat themselves: {_worst(first, names)}.")
+def _exceed(found: Residuals) -> Criterion:
+    chance = 0.05 + SURE_SHARE * np.sqrt(0.05 * 0.95 / found.samples)
+    return Criterion(
+        "Samples beyond the limit for 5 %",
+        found.exceed,
+        "",
+        found.exceed if found.exceed > chance else 0.0,
+        EXCEED,
+        f"{100 * found.exceed:.0f} % of the samples are beyond the limit for 5 %.",
+        unit="%",
+    )
 
 
-def _shift(found: Residuals, names: Sequence[str]) -> Iterator[Problem]:
+def _whiteness(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
     error = 1 / np.sqrt(np.maximum(found.counted, 1))
-    for values, errors, text in (
-        (found.level, found.level_error * np.sqrt(2), "The plant is elsewhere than where the model was made"),
-        (found.shift, error, "Predictions are off on average"),
-        (found.change, 2 * error, "Errors drift within the record"),
+    first = np.abs(np.nan_to_num(found.repeat[0]))
+    sure = np.where(first > SURE * error, first, 0.0)
+    yield Criterion(
+        "Errors repeat from sample to sample, all channels",
+        found.repeats,
+        "",
+        found.repeats if sure.any() else 0.0,
+        REPEATS,
+        f"Errors repeat themselves from sample to sample (correlation {found.repeats:.2f}): the model lacks "
+        f"dynamics. Worst: {_worst(first, names)}.",
+    )
+    yield _of_worst(
+        "The same, worst channel",
+        sure,
+        names,
+        REPEATS_WORST,
+        "The errors of some sensors repeat themselves from sample to sample:",
+    )
+    chance = np.sqrt(2 * LAGS) / np.maximum(found.counted, 1)  # of a sum of squares, standard deviation
+    by_channel = found.colour_by_channel
+    surely = bool(np.any(by_channel**2 > SURE * chance))
+    yield Criterion(
+        f"Errors repeat within {LAGS} samples, all channels",
+        found.colour,
+        "",
+        found.colour if surely else 0.0,
+        COLOUR,
+        f"Errors of up to {LAGS} samples ago come back (correlation {found.colour:.2f} in all): the model "
+        f"lacks dynamics. Worst: {_worst(by_channel, names)}.",
+    )
+
+
+def _shift(found: Residuals, names: Sequence[str]) -> Iterator[Criterion]:
+    error = 1 / np.sqrt(np.maximum(found.counted, 1))
+    for name, values, errors, text in (
+        (
+            "Plant away from its operating point",
+            found.level,
+            found.level_error * np.sqrt(2),
+            "The plant is elsewhere than where the model was made, in standard deviations:",
+        ),
+        (
+            "Predictions off on average",
+            found.shift,
+            error,
+            "Predictions are off on average, in standard deviations:",
+        ),
+        (
+            "Errors drift within the record",
+            found.change,
+            2 * error,
+            "Errors drift within the record, in standard deviations:",
+        ),
     ):
         size = np.abs(np.nan_to_num(values))
-        size = np.where(size > SURE * errors, size, 0.0)
-        grade = SHIFT.grade(float(size.max()))
-        if grade is not None:
-            yield Problem(grade, f"{text}: {_worst(size, names, ' standard deviations')}.")
-            return
+        yield _of_worst(name, np.where(size > SURE * errors, size, 0.0), names, SHIFT, text, "sd")
 
 
-def _worst(values: Array, names: Sequence[str], unit: str = "") -> str:
+def _of_worst(
+    name: str, sizes: Array, names: Sequence[str], limits: Limits, text: str, unit: str = ""
+) -> Criterion:
+    """The criterion of the worst channel; sizes that may be chance are 0."""
+    i = int(np.argmax(sizes))
+    size = float(sizes[i])
+    said = f"{text} {_worst(sizes, names)}."
+    return Criterion(name, size, names[i] if size > 0 else "", size, limits, said, unit=unit)
+
+
+def _worst(values: Array, names: Sequence[str]) -> str:
     """The largest three that are at least half of the largest, with their values."""
     order = np.argsort(values)[::-1][:3]
-    return enumerate_names(
-        [f"{names[i]} {values[i]:.2f}{unit}" for i in order if values[i] >= values.max() / 2]
-    )
+    return enumerate_names([f"{names[i]} {values[i]:.2f}" for i in order if values[i] >= values.max() / 2])
+
+
+def problems(found: Sequence[Criterion]) -> list[Problem]:
+    """What is wrong, one sentence each; what another sentence says already is left out."""
+    said = [Problem(one.grade, one.text) for one in found if one.grade is not Grade.GOOD]
+    lag_one = any(one.limits is REPEATS and one.grade is not Grade.GOOD for one in found)
+    worst = next((one.text for one in found if one.limits is REPEATS_WORST), "")
+    return [one for one in said if not (lag_one and one.text == worst)]
 
 
 def overall(found: Sequence[Problem]) -> Grade:

@@ -1,7 +1,8 @@
-"""What an engineer wants to see: a run in numbers; a run, a comparison or an analysis in one HTML file."""
+"""What an engineer wants to see: a run in numbers; a run, comparison, analysis or model in one HTML file."""
 
 from securestate.reporting.comparison import write_comparison
 from securestate.reporting.html import write_report
+from securestate.reporting.identification import write_identification
 from securestate.reporting.resilience import write_resilience
 from securestate.reporting.summary import Injection, Moment, SensorSummary, StatusCount, Summary, summarise
 
@@ -13,6 +14,7 @@ __all__ = [
     "Summary",
     "summarise",
     "write_comparison",
+    "write_identification",
     "write_report",
     "write_resilience",
 ]

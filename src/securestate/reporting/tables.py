@@ -178,8 +178,8 @@ def plant(run: Run) -> str:
     """Sensors with units, operating point and noise; inputs; settings of the estimator."""
     p = run.plant
     noise = channel_noise(p)
-    head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", "Protected")
-    head += () if p.verifiable.all() else ("Verifiable",)
+    marks = ("Protected",) if p.verifiable.all() else ("Protected", "Verifiable")
+    head = ("Channel", "Sensor", "Unit", "Operating point", "Scale", "Noise (σ)", *marks)
     rows = (
         (
             escape(p.channel_names[c]),
