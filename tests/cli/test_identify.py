@@ -57,7 +57,7 @@ def test_it_writes_the_plant_and_says_what_it_is_worth_and_what_is_next(tank: Pa
     evidence = found.verdict.sensors
     table = rows(done.out, "left", "middle", "right")
     assert [row[:2] for row in table] == [["left", "yes"], ["middle", "yes"], ["right", "yes"]]
-    assert [row[2] for row in table] == [f"{100 * sensor.explained:.1f}%" for sensor in evidence]
+    assert [row[2] for row in table] == [f"{100 * sensor.explained:.1f} %" for sensor in evidence]
     assert [row[4] for row in table] == [f"{sensor.variance:.2f}" for sensor in evidence]
     assert done.out.endswith(
         "\nwrote tank.toml\nNext:\n  securestate analyse tank.toml --tolerance 1e-3\n"
@@ -90,7 +90,7 @@ def test_several_files_gaps_and_runs_make_segments(tank: Path, command: Command)
         "identify", "gaps.csv", "short.csv", "--segment-column", "run", "--order", "1", "-o", "tank.toml"
     )
     assert (done.code, done.err) == (0, "")
-    assert "History: 260 samples in 4 segments, one every 60 s, 0.4% of the readings missing." in done.out
+    assert "History: 260 samples in 4 segments, one every 60 s, 0.4 % of the readings missing." in done.out
 
 
 def test_inputs_channels_and_columns_to_ignore_are_lists_of_names(tank: Path, command: Command) -> None:
@@ -168,18 +168,15 @@ def test_quiet_prints_nothing_but_warnings(tank: Path, command: Command) -> None
     assert done == (0, "", said)
 
 
-def test_the_report_is_asked_for_with_the_names_of_the_files(
-    tank: Path, command: Command, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def write(found: ss.Identified, path: Path, *, source: str) -> Path:
-        path.write_text(f"{found.headline}|{source}")
-        return path
-
-    monkeypatch.setattr("securestate.reporting.write_identification", write)
+def test_the_report_is_one_file_with_the_names_of_the_history(tank: Path, command: Command) -> None:
+    before = {path.name for path in tank.iterdir()}
     options = ("--order", "1", "-o", "tank.toml", "--report", "report.html")
     done = command("identify", "history.csv", "other.csv", *options)
     assert "\nwrote tank.toml\nwrote report.html\nNext:" in done.out
-    assert (tank / "report.html").read_text() == f"{done.out.splitlines()[0]}|history.csv, other.csv"
+    assert {path.name for path in tank.iterdir()} - before == {"tank.toml", "report.html"}
+    html = (tank / "report.html").read_text(encoding="utf-8")
+    assert "<dd>history.csv, other.csv</dd>" in html
+    assert "</html>" in html
 
 
 def test_a_place_that_cannot_be_written_leaves_nothing_behind(

@@ -38,7 +38,7 @@ def test_a_model_that_fits_ends_with_0_and_the_evidence_per_sensor(tank: Path, c
     assert done.out.startswith(f"tank, 500 samples in 1 segment, one every 60 s:\n{verdict}\n\n")
     table = rows(done.out, "left", "middle", "right")
     assert [row[:2] for row in table] == [["left", "yes"], ["middle", "yes"], ["right", "yes"]]
-    assert [row[6] for row in table] == [f"{100 * sensor.noise:.1f}%" for sensor in verdict.sensors]
+    assert [row[6] for row in table] == [f"{100 * sensor.noise:.1f} %" for sensor in verdict.sensors]
     assert {path.name for path in tank.iterdir()} == before
 
 
@@ -71,7 +71,7 @@ def test_runs_gaps_and_several_files_are_segments(tank: Path, command: Command) 
     done = command("judge", "tank.toml", "runs.csv", *options)
     assert (done.code, done.err) == (0, "")
     assert done.out.startswith(
-        "tank, 450 samples in 3 segments, one every 60 s, 0.2% of the readings missing:"
+        "tank, 450 samples in 3 segments, one every 60 s, 0.2 % of the readings missing:"
     )
     two = command("judge", "tank.toml", "fits.csv", "fits.csv")
     assert two.out.startswith("tank, 1,000 samples in 2 segments, one every 60 s:")

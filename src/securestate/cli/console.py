@@ -108,7 +108,7 @@ def working(verb: str, *, quiet: bool) -> Iterator[None]:
 def record(history: History) -> str:
     """Say how large a record is."""
     parts = count(len(history.segments), "segment")
-    gaps = f", {_share(history.missing)} of the readings missing" if history.missing else ""
+    gaps = f", {_share(history.missing)[:-1]} % of the readings missing" if history.missing else ""
     return f"{count(history.samples, 'sample')} in {parts}, one every {history.dt:g} s{gaps}"
 
 

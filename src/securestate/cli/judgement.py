@@ -83,7 +83,7 @@ def _percent(share: float) -> str:
     """A share in percent; one below zero, a prediction worse than the mean, is none."""
     if math.isnan(share):
         return "-"
-    return "100%" if share == 1 else f"{min(max(100 * share, 0.0), 99.9):.1f}%"
+    return "100 %" if share == 1 else f"{min(max(100 * share, 0.0), 99.9):.1f} %"
 
 
 def _number(value: float) -> str:
