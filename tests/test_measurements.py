@@ -304,7 +304,7 @@ def test_a_row_with_too_few_cells_is_named(csv_file: Write) -> None:
 
 def test_columns_without_a_name_are_extra_columns(csv_file: Write) -> None:
     read = read_measurements(csv_file(",flow 1,level,\n0,1,2,\n1,3,4,\n"), PLAIN)
-    assert read.extra == ("(column 1, no name)", "(column 4, no name)")
+    assert read.extra == ("(column 1: no name)", "(column 4: no name)")
 
 
 @pytest.mark.parametrize("name", ["data.xlsx", "data", "none.csv", "folder.csv"])

@@ -35,7 +35,7 @@ from securestate.estimators import (
     cold_start,
 )
 from securestate.identification import History, Identified, Refined, Verdict, identify, judge, refine
-from securestate.measurements import Measurements, read_measurements, write_run
+from securestate.measurements import Measurements, read_history, read_measurements, write_run
 from securestate.plant import Belief, Plant, Sensor
 from securestate.simulation import Comparison, Trajectory, compare, simulate
 
@@ -84,6 +84,7 @@ __all__ = [
     "compare",
     "identify",
     "judge",
+    "read_history",
     "read_measurements",
     "refine",
     "simulate",

@@ -12,7 +12,7 @@ import pyarrow.compute as pc
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as parquet
 
-from securestate._tables import NUMBER, Table, Values, quoted
+from securestate._tables import NUMBER, Table, Values, nameless, quoted
 from securestate.errors import MeasurementError
 
 TEXT_SUFFIXES = (".csv", ".tsv", ".txt")
@@ -105,7 +105,7 @@ def _cells(source: str, head: str, separator: str) -> list[str]:
 
 def _distinct(source: str, names: list[str]) -> list[str]:
     """Return names without blanks at their ends; a column without a name is called by its number."""
-    clean = [name.strip() or f"(column {i + 1}, no name)" for i, name in enumerate(names)]
+    clean = [name.strip() or nameless(i + 1) for i, name in enumerate(names)]
     twice = sorted({name for name in clean if clean.count(name) > 1})
     if twice:
         raise MeasurementError(source, "columns with names that differ", f"{quoted(twice[0])} more than once")

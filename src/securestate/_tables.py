@@ -56,6 +56,12 @@ class Table:
         self._refuse(np.isinf(numbers), name, "a finite number or an empty cell")
         return numbers
 
+    def absent(self, name: str) -> Flags:
+        """Return which cells of a column are missing, shape (rows,)."""
+        values = self.columns[name]
+        values = without_missing(values) if _is_text(values) else values
+        return np.asarray(pc.is_null(values, nan_is_null=True), dtype=np.bool_)
+
     def times(self, name: str) -> NDArray[Any]:
         """Return a column as seconds (float64) or UTC instants (datetime64[ns]), shape (rows,).
 
@@ -122,6 +128,11 @@ def quoted(cell: object) -> str:
     """Return what a cell holds in at most 60 printable characters."""
     text = "an empty cell" if cell is None or cell == "" else repr(cell)
     return text if len(text) <= 60 else text[:57] + "..."
+
+
+def nameless(number: int) -> str:
+    """Return what a column without a name is called; the first has the number 1."""
+    return f"(column {number}: no name)"
 
 
 def without_missing(values: Values) -> Values:

@@ -1,7 +1,5 @@
 """Measurement files in, results out: columns matched to a plant by name, rows put on its time grid."""
 
-import difflib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
@@ -10,15 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from securestate._history_files import read_history
 from securestate._readers import read_table
 from securestate._results import write_run
-from securestate._tables import Table, quoted
+from securestate._tables import Table
+from securestate._time_grid import JITTER, filled, grid, offer, time_column_of
 from securestate.plant import Plant
 
-__all__ = ["JITTER", "Measurements", "read_measurements", "write_run"]
-
-JITTER = 0.01  # how far a time may lie off the grid, in sample times
-LARGEST_GRID = 1_000_000  # rows; a file may fill in more only up to ten times its own
+__all__ = ["JITTER", "Measurements", "read_history", "read_measurements", "write_run"]
 
 Array = NDArray[np.float64]
 
@@ -79,10 +76,10 @@ def read_measurements(
     """
     channels, inputs = plant.channel_names, plant.input_names
     table = read_table(Path(path), frozenset((*channels, *inputs, time_column or "time")))
-    clock = _clock(table, (*channels, *inputs), time_column)
+    clock = time_column_of(table, (*channels, *inputs), time_column)
     absent = _absent(table, channels, inputs, allow_missing)
     time = None if clock is None else table.times(clock)
-    index = np.arange(table.rows) if time is None else _grid(table, clock, time, plant.dt)
+    index = np.arange(table.rows) if time is None else grid(table, clock, time, plant.dt)
     size = int(index[-1]) + 1
     y = np.full((size, len(channels)), np.nan)
     for j, name in enumerate(channels):
@@ -93,24 +90,12 @@ def read_measurements(
     return Measurements(
         y=y,
         u=u,
-        time=None if time is None else _filled(time, index, plant.dt),
+        time=None if time is None else filled(time, index, plant.dt),
         extra=tuple(name for name in table.columns if name in unused),
         absent=absent,
         gaps=size - table.rows,
         held=held,
     )
-
-
-def _clock(table: Table, taken: Sequence[str], wanted: str | None) -> str | None:
-    """Return the name of the time column, None if there is none."""
-    if wanted is not None:
-        if wanted not in table.columns:
-            raise table.error(f"the time column {wanted!r}", _offer(table, [wanted]))
-        return wanted
-    found = [name for name in table.columns if name.lower() == "time" and name not in taken]
-    if len(found) > 1:
-        raise table.error("one time column, or its name given", " and ".join(map(repr, found)))
-    return found[0] if found else None
 
 
 def _absent(
@@ -122,62 +107,10 @@ def _absent(
     if absent and not allowed:
         needed = [*absent, *needed]
     if needed:
-        raise table.error(f"a column for each of {', '.join(map(repr, needed))}", _offer(table, needed))
+        raise table.error(f"a column for each of {', '.join(map(repr, needed))}", offer(table, needed))
     if channels and len(absent) == len(channels):
-        raise table.error("a column for at least one channel of the plant", _offer(table, absent))
+        raise table.error("a column for at least one channel of the plant", offer(table, absent))
     return absent
-
-
-def _offer(table: Table, wanted: Sequence[str]) -> str:
-    """Say which columns there are and which of them may be meant."""
-    columns = list(table.columns)
-    shown = ", ".join(map(quoted, columns[:20])) + (", ..." if len(columns) > 20 else "")
-    near = [f"{quoted(close)} for {name!r}" for name in wanted for close in _near(name, columns)]
-    return f"columns {shown}" + (f" (perhaps {', '.join(near)})" if near else "")
-
-
-def _near(name: str, columns: Sequence[str]) -> list[str]:
-    lower = {column.lower(): column for column in columns}
-    return [lower[match] for match in difflib.get_close_matches(name.lower(), lower, n=1)]
-
-
-def _seconds(time: NDArray[Any]) -> Array:
-    """Return seconds since the first row, shape (T,)."""
-    since = time - time[0]
-    if since.dtype.kind == "m":
-        return np.asarray(since.astype(np.int64) / 1e9, dtype=np.float64)
-    return np.asarray(since, dtype=np.float64)
-
-
-def _grid(table: Table, clock: str | None, time: NDArray[Any], dt: float) -> NDArray[np.int64]:
-    """Return the sample number of every row, shape (rows,), counted from the first."""
-    later = time[1:] > time[:-1]
-    if not np.all(later):
-        row = int(np.argmin(later)) + 1
-        raise table.error(f"a time after {time[row - 1]}", str(time[row]), row=row, column=clock)
-    with np.errstate(over="ignore"):
-        samples = _seconds(time) / dt
-    limit = max(LARGEST_GRID, 10 * table.rows)
-    if not samples[-1] < limit:
-        row = int(np.argmax(np.diff(samples))) + 1
-        expected = f"times that span at most {limit} samples of {dt:g} s"
-        raise table.error(expected, f"{time[row]} after {time[row - 1]}", row=row, column=clock)
-    index = np.rint(samples)
-    off = np.abs(samples - index)
-    off[1:][np.diff(index) == 0] = 0.5  # two rows on one sample
-    if np.any(off > JITTER):
-        row = int(np.argmax(off))
-        expected = f"the first time, {time[0]}, plus a multiple of {dt:g} s"
-        raise table.error(expected, f"{time[row]} ({_seconds(time)[row]:.9g} s later)", row=row, column=clock)
-    return index.astype(np.int64)
-
-
-def _filled(time: NDArray[Any], index: NDArray[np.int64], dt: float) -> NDArray[Any]:
-    """Return the time of every sample: the file's own, the grid's where the file has none."""
-    since = np.arange(index[-1] + 1) * dt
-    whole = time[0] + (np.rint(since * 1e9).astype("timedelta64[ns]") if time.dtype.kind == "M" else since)
-    whole[index] = time
-    return np.asarray(whole)
 
 
 def _inputs(

@@ -42,3 +42,15 @@ def measurements(samples: int, seed: int = 1) -> pd.DataFrame:
     frame = pd.DataFrame(y, columns=list(PLANT.channel_names))
     frame.insert(0, "time", PLANT.dt * np.arange(samples))
     return frame
+
+
+def history(samples: int, seed: int = 1) -> pd.DataFrame:
+    """Return what three honest level meters in one tank say, one sample a minute."""
+    rng = np.random.default_rng(seed)
+    x = np.zeros(samples)
+    for k in range(1, samples):
+        x[k] = 0.9 * x[k - 1] + rng.normal()
+    y = 20 + 2 * x[:, None] + rng.normal(size=(samples, 3))
+    frame = pd.DataFrame(y, columns=["left", "middle", "right"])
+    frame.insert(0, "time", 60.0 * np.arange(samples))
+    return frame

@@ -1,4 +1,4 @@
-"""The command line: `securestate estimate`, `analyse`, `compare` and `plant check`."""
+"""The command line: `securestate estimate`, `identify`, `judge`, `analyse`, `compare`, `plant check`."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from typing import Annotated, Any, NoReturn
 
 import typer
 
-from securestate.cli import analyse, compare, estimate, plant
-from securestate.cli.exits import HELP, HELP_BEFORE_DATA, HELP_WITHOUT_LIARS, Exit, outcome
+from securestate.cli import analyse, compare, estimate, identify, judge, plant
+from securestate.cli.exits import HELP, HELP_BEFORE_DATA, HELP_OF_A_MODEL, HELP_WITHOUT_LIARS, Exit, outcome
 
 app = typer.Typer(
     help="Estimate the state of a plant while some of its sensors lie, and name the liars.",
@@ -25,6 +25,8 @@ app = typer.Typer(
 )
 plants = typer.Typer(help="Look at a plant before any data.", no_args_is_help=True)
 app.command("estimate", epilog=HELP)(estimate.estimate)
+app.command("identify", epilog=HELP_OF_A_MODEL)(identify.identify)
+app.command("judge", epilog=HELP_OF_A_MODEL)(judge.judge)
 app.command("analyse", epilog=HELP_BEFORE_DATA)(analyse.analyse)
 app.command("compare", epilog=HELP_WITHOUT_LIARS)(compare.compare)
 plants.command("check", epilog=HELP)(plant.check)

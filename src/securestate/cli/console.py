@@ -14,7 +14,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
+from securestate._words import count
 from securestate.estimators import Run
+from securestate.identification import History
 from securestate.reporting import SensorSummary, Summary
 from securestate.reporting.clock import Clock
 
@@ -64,6 +66,35 @@ def steps(verb: str, things: str, *, quiet: bool) -> Iterator[Callable[[int, int
 
 
 @contextmanager
+def stages(*, quiet: bool) -> Iterator[Callable[[str, int, int], None]]:
+    """Show a bar on stderr if that is a terminal; the function given takes a stage, steps done and of all.
+
+    A stage of one step shows that something goes on.
+    """
+    console = Console(stderr=True)
+    bar = Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TextColumn("{task.fields[steps]}"),
+        console=console,
+        transient=True,
+        disable=quiet or not console.is_terminal,
+    )
+    with bar:
+        task, shown = bar.add_task("", total=None, steps=""), ""
+
+        def show(stage: str, done: int, total: int) -> None:
+            nonlocal task, shown
+            if stage != shown:
+                bar.remove_task(task)
+                task, shown = bar.add_task(stage, total=None, steps=""), stage
+            if total > 1:
+                bar.update(task, completed=done, total=total, steps=f"{done}/{total}")
+
+        yield show
+
+
+@contextmanager
 def working(verb: str, *, quiet: bool) -> Iterator[None]:
     """Show on stderr that something goes on, if that is a terminal."""
     console = Console(stderr=True)
@@ -72,6 +103,13 @@ def working(verb: str, *, quiet: bool) -> Iterator[None]:
         return
     with console.status(verb):
         yield
+
+
+def record(history: History) -> str:
+    """Say how large a record is."""
+    parts = count(len(history.segments), "segment")
+    gaps = f", {_share(history.missing)[:-1]} % of the readings missing" if history.missing else ""
+    return f"{count(history.samples, 'sample')} in {parts}, one every {history.dt:g} s{gaps}"
 
 
 def table(*headings: str) -> Table:

@@ -20,7 +20,9 @@ class Exit(IntEnum):
     INTERNAL = 1  # a bug of securestate
     INPUT = 2  # bad usage, or a file that is wrong or cannot be read or written
     SUSPECTED = 3  # done; at least one sensor lies persistently (`Summary.liars`)
-    DESIGN = 4  # the plant does not allow the method, or does not survive as many liars as was asked
+    DESIGN = (
+        4  # the plant does not allow the method, or survives fewer liars than asked; a model is inadequate
+    )
     INTERRUPTED = 130  # by the user
 
 
@@ -33,6 +35,11 @@ HELP = (
 HELP_BEFORE_DATA = (
     "Exit codes: 0 done · 1 internal error · 2 bad usage or bad input · "
     "4 the plant does not survive that · 130 interrupted."
+)
+
+HELP_OF_A_MODEL = (
+    "Exit codes: 0 the model is good or usable · 1 internal error · 2 bad usage or bad input · "
+    "4 the model is inadequate · 130 interrupted."
 )
 
 HELP_WITHOUT_LIARS = "Exit codes: 0 done · 1 internal error · 2 bad usage or bad input · 130 interrupted."
