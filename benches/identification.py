@@ -140,7 +140,8 @@ def large() -> str:
     found = identify(y)
     seconds = time.process_time() - start
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-    return f"{m} channels x {N:,} samples: {found.plant}, {seconds:.0f} s of processor time, {memory:.2f} GB at most"
+    cost = f"{seconds:.0f} s of processor time, {memory:.2f} GB at most"
+    return f"{m} channels x {N:,} samples: {found.plant}, {cost}"
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -90,7 +90,7 @@ def assemble(
         model.Q,
         made,
         B=model.B if len(used) else None,
-        dt=history.dt,
+        dt=1.0 if history.dt is None else history.dt,
         input_names=[history.input_names[i] for i in used] if len(used) else None,
         input_offset=prepared.input_offset if len(used) else 0.0,
         input_scale=prepared.input_scale if len(used) else 1.0,

@@ -24,14 +24,14 @@ class History:
     Attributes:
         segments: pairs of measurements (N, m), NaN where missing, and inputs (N, q), in engineering units.
         channel_names (m), units (m), input_names (q): text.
-        dt: seconds between samples.
+        dt: seconds between samples; None if not known.
     """
 
     segments: tuple[Segment, ...]
     channel_names: tuple[str, ...]
     units: tuple[str, ...]
     input_names: tuple[str, ...]
-    dt: float = 1.0
+    dt: float | None = None
 
     @classmethod
     def of(
@@ -39,7 +39,7 @@ class History:
         y: object,
         u: object = None,
         *,
-        dt: float = 1.0,
+        dt: float | None = None,
         channel_names: Sequence[str] | None = None,
         units: Sequence[str] | None = None,
         input_names: Sequence[str] | None = None,
@@ -51,7 +51,7 @@ class History:
                 these, one per segment. NaN is missing, infinite numbers are an error. Or a `History`.
             u: inputs of the same samples, (N, q), in the same way; None: no inputs. A sample without all its
                 inputs ends a segment.
-            dt: seconds between samples.
+            dt: seconds between samples; None: not known.
             channel_names, input_names: default: those of the tables, else y1, y2, ... and u1, u2, ...
             units: one per channel; default: none.
         Raises:
@@ -85,7 +85,7 @@ class History:
             if units is None
             else check.labels("units", units, len(channels), InputError, empty=True),
             inputs,
-            check.positive_number("dt", dt, InputError),
+            None if dt is None else check.positive_number("dt", dt, InputError),
         )
 
     def select(self, channels: Sequence[str], inputs: Sequence[str]) -> History:

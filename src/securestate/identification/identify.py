@@ -24,7 +24,7 @@ from securestate.errors import InputError, MeasurementError, SecurestateWarning
 from securestate.identification.assemble import assemble, grouped, marked, scaled_noise
 from securestate.identification.forms import EDGE, Independent, Innovations, Segment
 from securestate.identification.history import History, numbered
-from securestate.identification.judge import VERIFIABLE, Verdict, judged
+from securestate.identification.judge import VERIFIABLE, Verdict, judged, require_step
 from securestate.identification.lags import past_length
 from securestate.identification.maximise import Fit, Freedom, maximise
 from securestate.identification.order import COSTLY, TRIAL, OrderSearch, score, search
@@ -110,7 +110,7 @@ def identify(
     feedthrough: bool = False,
     largest_eigenvalue: float = EDGE,
     sensors: Mapping[str, Sequence[str]] | None = None,
-    dt: float = 1.0,
+    dt: float | None = None,
     channel_names: Sequence[str] | None = None,
     units: Sequence[str] | None = None,
     input_names: Sequence[str] | None = None,
@@ -137,7 +137,8 @@ def identify(
             sample: else a sensor vouches for itself by way of the controller, and a warning says for which.
         largest_eigenvalue: A's eigenvalues are kept below this size, in (0, 1).
         sensors: channels by sensor, for sensors that own several; the others own one each.
-        dt: seconds between samples. channel_names, units, input_names, name: as in `History.of` and `Plant`.
+        dt: seconds between samples, default 1. channel_names, units, input_names, name: as in `History.of`
+            and `Plant`.
         progress: called with a stage, steps done and steps at most.
     Returns:
         The plant with its verdict. Look at the verdict.
@@ -176,7 +177,9 @@ def identify(
 
 def _other(history: History, y: object, u: object) -> History:
     """The held-out record with the history's channels and inputs."""
-    given = History.of(y, u, dt=history.dt)
+    given = History.of(y, u)
+    if history.dt is not None:
+        require_step(given, history.dt)
     channels, inputs = history.channel_names, history.input_names
     if given.channel_names == numbered("y", len(channels)):
         given = replace(given, channel_names=channels)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from securestate._steady_state import steady_state
 from securestate._threads import one_blas_thread
 from securestate._words import count, enumerate_names
-from securestate.errors import InputError, ShapeError
+from securestate.errors import DesignError, InputError, ShapeError
 from securestate.estimators.kalman import KalmanFilter
 from securestate.identification.forms import Innovations, Segment
 from securestate.identification.history import History, numbered
@@ -99,11 +99,10 @@ class Verdict:
         found = self.residuals
         samples = count(found.samples, "sample")
         yield {
-            Grade.GOOD: f"The model is good: on {samples} it was not fitted to, its errors are what it says "
+            Grade.GOOD: f"The model is good: on {samples} its errors are what it says "
             f"({found.size:.2f} times the variance; {100 * found.exceed:.1f} % beyond the limit for 5 %).",
-            Grade.USABLE: f"The model is usable, judged by {samples} it was not fitted to.",
-            Grade.INADEQUATE: f"The model is inadequate, judged by {samples} it was not fitted to: "
-            "do not judge sensors by it.",
+            Grade.USABLE: f"The model is usable, judged by {samples}.",
+            Grade.INADEQUATE: f"The model is inadequate, judged by {samples}: do not judge sensors by it.",
         }[self.grade]
         yield from (str(problem) for problem in self.problems)
         if self.grade is Grade.INADEQUATE:
@@ -155,6 +154,8 @@ def judge(plant: Plant, y: object, u: object = None) -> Verdict:
     """
     if not isinstance(plant, Plant):
         raise InputError("plant", "a Plant", type(plant).__name__)
+    if plant.time_varying:
+        raise DesignError("the plant varies in time", "judge one that does not")
     return judged(plant, fitting(plant, History.of(y, u)).segments)
 
 
@@ -165,9 +166,20 @@ def fitting(plant: Plant, history: History) -> History:
     Raises:
         InputError: a channel or input is not there. ShapeError: columns without names of another number.
     """
+    require_step(history, plant.dt)
     channels = _matched("y", "channel", history.channel_names, plant.channel_names)
     inputs = _matched("u", "input", history.input_names, plant.input_names)
     return history.select(channels, inputs)
+
+
+def require_step(history: History, dt: float) -> None:
+    """Refuse a record of another sample time; one made from arrays has none of its own.
+
+    Raises:
+        InputError: names y.dt.
+    """
+    if history.dt is not None and abs(history.dt - dt) > 0.01 * dt:
+        raise InputError("y.dt", f"{dt:g} s between samples, as the plant has", f"{history.dt:g} s")
 
 
 def _matched(argument: str, what: str, given: tuple[str, ...], wanted: tuple[str, ...]) -> tuple[str, ...]:
@@ -201,13 +213,20 @@ def judged(
             blamed = _blame(plant, record, tried)
             wrong.append(_reason(blamed, tried))
         wrong.sort(key=lambda problem: problem.grade is not Grade.INADEQUATE)
-        sensors = tuple(_evidence(plant, record, found, law))
+        sensors = tuple(_evidence(plant, record, found, None if blamed else law, blamed))
     return Verdict(overall(wrong), tuple(wrong), sensors, found, looked_at, blamed)
 
 
 def _evidence(
-    plant: Plant, record: Sequence[Segment], found: Residuals, law: Innovations | None
+    plant: Plant,
+    record: Sequence[Segment],
+    found: Residuals,
+    law: Innovations | None,
+    blamed: Sequence[str],
 ) -> Iterator[SensorEvidence]:
+    """What the others say of every sensor; sensors that are blamed are not heard."""
+    silent = [plant.sensor_names.index(name) for name in blamed]
+    record = [(_without(plant, y, silent), u) for y, u in record]
     gaps = any(np.isnan(y).any() for y, _ in record)
     steady = steady_state(plant)
     form = law or Innovations(
@@ -240,6 +259,14 @@ def _evidence(
             shift=float(found.shift[worst]),
             noise=float(own[worst]),
         )
+
+
+def _without(plant: Plant, y: Array, silent: Sequence[int]) -> Array:
+    """Measurements without those of some sensors."""
+    heard = y.copy() if silent else y
+    for i in silent:
+        heard[:, plant.channels_of(i)] = np.nan
+    return heard
 
 
 def _left_out_with_gaps(
@@ -304,10 +331,7 @@ def _runs(
     """Standardised innovations, nis and channels of every segment while some sensors are not heard."""
     plant = estimator.plant
     for y, u in record:
-        heard = y.copy()
-        for i in out:
-            heard[:, plant.channels_of(i)] = np.nan
-        run = estimator.run(heard, u if plant.n_inputs else None, covariance=False)
+        run = estimator.run(_without(plant, y, out), u if plant.n_inputs else None, covariance=False)
         skip = min(WARM_UP, len(y) // 4)
         z = (run.innovation / run.innovation_std)[skip:]
         yield z, run.diagnostics["nis"][skip:], run.diagnostics["channels"][skip:]

@@ -31,8 +31,8 @@ from securestate.identification.subspace import Subspace
 
 Array = NDArray[np.float64]
 
-#: Samples per block whose means are compared: within a block they depend on each other.
-BLOCK = 25
+#: Samples per block whose means are compared: within a block they depend on each other; of few samples fewer.
+BLOCK, LEAST_BLOCK = 25, 5
 
 #: A smaller order may predict worse by this many nats per sample and channel.
 NEGLIGIBLE = 0.002
@@ -193,7 +193,8 @@ def _smallest(scores: Mapping[int, Array], negligible: float) -> int:
 
     def close(n: int) -> bool:
         lost = scores[best] - scores[n]
-        blocks = lost[: len(lost) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
+        length = max(LEAST_BLOCK, min(BLOCK, len(lost) // 8))
+        blocks = lost[: len(lost) // length * length].reshape(-1, length).mean(axis=1)
         error = float(blocks.std() / np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
         return bool(lost.mean() <= max(error, negligible) + 1e-12)
 

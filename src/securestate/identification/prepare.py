@@ -94,11 +94,12 @@ def prepare(history: History) -> Prepared:
     """Look at a history and normalise it.
 
     Raises:
-        MeasurementError: no channel varies, or a channel holds no reading at all.
+        MeasurementError: no channel varies.
     """
     y, u = (np.vstack(parts) for parts in zip(*history.segments, strict=True))
-    _refuse_empty(history, y)
-    offset, scale = np.nanmean(y, axis=0), np.nanstd(y, axis=0)
+    read = np.isfinite(y).any(axis=0)
+    offset, scale = np.zeros(y.shape[1]), np.zeros(y.shape[1])
+    offset[read], scale[read] = np.nanmean(y[:, read], axis=0), np.nanstd(y[:, read], axis=0)
     varies = scale > CONSTANT * np.maximum(1.0, np.abs(offset))
     if not varies.any():
         raise MeasurementError("y", "channels that vary", "constant channels only")
@@ -117,16 +118,9 @@ def prepare(history: History) -> Prepared:
         input_scale=np.std(u, axis=0)[moves],
         floor=np.array([np.mean(own[list(group.channels)]) for group in groups]),
         segments=(),
-        remarks=tuple(_remarks(history, varies, moves, groups)),
+        remarks=tuple(_remarks(history, read, varies, moves, groups)),
     )
     return Prepared(**{**vars(found), "segments": found.normalise(history)})
-
-
-def _refuse_empty(history: History, y: Array) -> None:
-    empty = np.asarray(np.isnan(y).all(axis=0))
-    if empty.any():
-        names = [name for name, nothing in zip(history.channel_names, empty, strict=True) if nothing]
-        raise MeasurementError("y", "readings of every channel", f"none of {enumerate_names(names)}")
 
 
 def _groups(z: Array, kept: Indices) -> tuple[Group, ...]:
@@ -189,10 +183,18 @@ def _mean(columns: Array) -> Array:
 
 
 def _remarks(
-    history: History, varies: NDArray[np.bool_], moves: NDArray[np.bool_], groups: Sequence[Group]
+    history: History,
+    read: NDArray[np.bool_],
+    varies: NDArray[np.bool_],
+    moves: NDArray[np.bool_],
+    groups: Sequence[Group],
 ) -> list[str]:
     names, said = history.channel_names, []
-    still = [name for name, alive in zip(names, varies, strict=True) if not alive]
+    silent = [name for name, heard in zip(names, read, strict=True) if not heard]
+    if silent:
+        verb = "holds no reading and is" if len(silent) == 1 else "hold no reading and are"
+        said.append(f"{enumerate_names(silent)} {verb} left out.")
+    still = [name for name, heard, alive in zip(names, read, varies, strict=True) if heard and not alive]
     if still:
         said.append(
             f"{enumerate_names(still)} never changes in the history and is left out."

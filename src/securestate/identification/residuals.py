@@ -165,16 +165,14 @@ def _mean(x: Array) -> Array:
 
 
 def _autocorrelation(parts: Sequence[Array]) -> Array:
-    """Per lag and channel, pairs that straddle a gap or a segment left out."""
+    """Per lag and channel; sums over pairs within a segment, over the sum of squares: never above 1."""
     mean = _mean(np.vstack(parts))
     centred = [part - mean for part in parts]
-    size = _mean(np.vstack(centred) ** 2)
+    size = np.maximum(np.nansum(np.vstack(centred) ** 2, axis=0), 1e-300)
     rows = []
     for lag in range(1, LAGS + 1):
-        pairs = [part[lag:] * part[:-lag] for part in centred if len(part) > lag]
-        rows.append(
-            _mean(np.vstack(pairs)) / np.maximum(size, 1e-300) if pairs else np.full(len(mean), np.nan)
-        )
+        pairs = np.vstack([part[lag:] * part[:-lag] for part in centred])
+        rows.append(np.nansum(pairs, axis=0) / size)
     return np.array(rows)
 
 
