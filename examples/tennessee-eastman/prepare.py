@@ -1,11 +1,14 @@
-"""Make plant.toml, data.csv and held-out.csv from the files they come from.
+"""Make history.csv, data.csv, tags.csv and plant.toml from the files they come from.
 
     python prepare.py FOLDER
 
-FOLDER holds `d00_te.dat` (960 samples of normal operation, 52 variables) of the Tennessee Eastman data of the
-University of Illinois, and `clean_segments.npz` (ten arrays, 160 samples of normal operation each, from other
-runs of the same simulation). `identified_model.npz` lies beside this script. Numbers are taken over exactly:
-the text of every number in the CSV files reads back as the same double.
+FOLDER holds `d00.dat` and `d00_te.dat` (500 and 960 samples of normal operation, 52 variables) of the
+Tennessee Eastman data of the University of Illinois, and `clean_segments.npz` (ten arrays, 160 samples of
+normal operation each, from other runs of the same simulation). Numbers are taken over exactly: the text of
+every number in the CSV files reads back as the same double.
+
+plant.toml is no part of the tour: the arena needs a plant that does not change when `identify` does. It comes
+from `identified_model.npz`, which lies beside this script.
 """
 
 import sys
@@ -73,22 +76,29 @@ def record(samples: NDArray[np.float64]) -> pd.DataFrame:
     return table
 
 
-def held_out(segments: dict[str, NDArray[np.float64]]) -> pd.DataFrame:
+def history(segments: dict[str, NDArray[np.float64]]) -> pd.DataFrame:
     """Put the separate runs below each other; the column `run` tells them apart."""
     tables = [record(samples).assign(run=name) for name, samples in segments.items()]
     joined = pd.concat(tables, ignore_index=True)
     return joined[["run", *tables[0].columns.drop("run")]]
 
 
+def tags() -> pd.DataFrame:
+    """Return what every channel is called and in which unit it is."""
+    rows = [(f"XMEAS {i + 1}", f"XMEAS {i + 1} {what}", unit) for i, (what, unit) in enumerate(MEASURED)]
+    return pd.DataFrame(rows, columns=["channel", "sensor", "unit"])
+
+
 def main() -> None:
-    """Write the three files beside this script."""
+    """Write the four files beside this script."""
     if len(sys.argv) != 2:
         raise SystemExit(__doc__)
     originals = Path(sys.argv[1])
     plant().save(HERE / "plant.toml")
     record(np.loadtxt(originals / "d00_te.dat")).to_csv(HERE / "data.csv", index=False)
-    segments = dict(np.load(originals / "clean_segments.npz"))
-    held_out(segments).to_csv(HERE / "held-out.csv", index=False)
+    segments = {"d00": np.loadtxt(originals / "d00.dat").T} | dict(np.load(originals / "clean_segments.npz"))
+    history(segments).to_csv(HERE / "history.csv", index=False)
+    tags().to_csv(HERE / "tags.csv", index=False)
 
 
 if __name__ == "__main__":

@@ -1,11 +1,14 @@
-"""The main job on a chemical plant: falsify two of 22 sensors, estimate, name the liars, write a report.
+"""The main job on a chemical plant: learn it from history, ask what it survives, find two lying sensors.
 
     python run.py [--out FOLDER]
 
-FOLDER (default: out, beside this script) receives attacked.csv, estimates.parquet and report.html.
+FOLDER (default: out, beside this script) receives plant.toml, attacked.csv, estimates.parquet, and a report
+of
+each stage: identification.html, resilience.html and report.html.
 """
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 
 import falsify
@@ -13,13 +16,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from securestate import KalmanFilter, Plant
+from securestate import KalmanFilter, Plant, analyse
 from securestate.cli import execute
 from securestate.cli.exits import Exit
 from securestate.measurements import read_measurements
+from securestate.reporting import write_resilience
 
 HERE = Path(__file__).resolve().parent
-PLANT = HERE / "plant.toml"
+NAME = "Tennessee Eastman process"
+TOLERANCE = 1e-3  # of a model that was learned
 
 Array = NDArray[np.float64]
 
@@ -27,16 +32,33 @@ Array = NDArray[np.float64]
 def main() -> int:
     """Do the job; return 0, or the command line's exit code if it failed."""
     out = _folder()
-    attacked = falsify.main(out / "attacked.csv")
-    estimates, report = out / "estimates.parquet", out / "report.html"
-    command = ["estimate", "--plant", PLANT, "--data", attacked, "--method", "sparse"]
-    code = execute([str(word) for word in [*command, "--out", estimates, "--report", report]])
+    plant = out / "plant.toml"
+    print("1. Learn the plant from history in which nobody lied\n", flush=True)
+    history = [HERE / "history.csv", "--segment-column", "run", "--tags", HERE / "tags.csv"]
+    learn = ["identify", *history, "--name", NAME, "--out", plant, "--report", out / "identification.html"]
+    code = _command(learn)
+    if code != Exit.CLEAN:
+        return code
+    print("\n2. How many liars does it survive\n", flush=True)
+    found = analyse(Plant.load(plant), tol=TOLERANCE)
+    print(str(found).splitlines()[0])
+    print(f"wrote {write_resilience(found, out / 'resilience.html', source=plant.name)}")
+    print("\n3. Two sensors lie: name them, and estimate without them\n", flush=True)
+    attacked, estimates = falsify.main(out / "attacked.csv"), out / "estimates.parquet"
+    order = ["estimate", "--plant", plant, "--data", attacked, "--method", "sparse", "--out", estimates]
+    code = _command([*order, "--report", out / "report.html"])
     if code not in (Exit.CLEAN, Exit.SUSPECTED):
         return code
     print()
-    compare(attacked, pd.read_parquet(estimates))
-    print(f"\nReport: {report}")
+    compare(Plant.load(plant), attacked, pd.read_parquet(estimates))
+    pages = [out / f"{page}.html" for page in ("identification", "resilience", "report")]
+    print("\nReports:", *pages, sep="\n  ")
     return 0
+
+
+def _command(words: Sequence[object]) -> Exit:
+    """Run `securestate` as a user would."""
+    return execute([str(word) for word in words])
 
 
 def _folder() -> Path:
@@ -47,9 +69,8 @@ def _folder() -> Path:
     return folder
 
 
-def compare(attacked: Path, secure: pd.DataFrame) -> None:
+def compare(plant: Plant, attacked: Path, secure: pd.DataFrame) -> None:
     """Say what was done, what was found, and how far each method is from the estimate on the clean record."""
-    plant = Plant.load(PLANT)
     kalman = KalmanFilter(plant)
     clean = shown(plant, kalman.run(read_measurements(HERE / "data.csv", plant).y).x)
     fooled = shown(plant, kalman.run(read_measurements(attacked, plant).y).x)

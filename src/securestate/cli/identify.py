@@ -36,6 +36,13 @@ def identify(
         list[str] | None,
         typer.Option(metavar="NAMES", help="Columns that are channels (default: every one that is left)."),
     ] = None,
+    tags: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="A list of the channels: columns channel, sensor and unit, for names in the plant.",
+        ),
+    ] = None,
     segment_column: Annotated[
         str | None, typer.Option(metavar="NAME", help="A column whose value tells runs apart.")
     ] = None,
@@ -83,6 +90,7 @@ def identify(
             inputs=split_names("--inputs", inputs),
             ignore=split_names("--ignore", ignore),
             channels=split_names("--channels", channels) or None,
+            tags=tags,
             segment_column=segment_column,
             time_column=time_column,
             dt=dt,

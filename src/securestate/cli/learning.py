@@ -7,11 +7,12 @@ import sys
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 from securestate._history_files import read_histories
+from securestate._history_tags import Tags, read_tags
 from securestate._results import check_folder
 from securestate.cli import console
 from securestate.cli.exits import Exit
@@ -29,6 +30,7 @@ class Lesson:
     inputs: Sequence[str]
     ignore: Sequence[str]
     channels: Sequence[str] | None
+    tags: Path | None
     segment_column: str | None
     time_column: str | None
     dt: float | None
@@ -43,13 +45,15 @@ class Lesson:
 def run_lesson(order: Lesson) -> Exit:
     """Do the whole job; nothing is written before all is computed."""
     _check(order)
-    history, other = _read(order)
+    tags = None if order.tags is None else read_tags(order.tags)
+    history, other = _read(order, tags)
     with _said_once(quiet=order.quiet) as said, console.stages(quiet=order.quiet) as progress:
         found = identify(
             history,
             order=order.order,
             held_out=other,
             feedthrough=order.feedthrough,
+            sensors=None if tags is None else _sensors(tags, history),
             name=order.name,
             progress=progress,
         )
@@ -74,19 +78,35 @@ def _check(order: Lesson) -> None:
         check_folder(order.report, "--report")
 
 
-def _read(order: Lesson) -> tuple[History, History | None]:
-    """The history and, if there is one, the record for the verdict, with the same columns."""
+def _read(order: Lesson, tags: Tags | None) -> tuple[History, History | None]:
+    """The history and, if there is one, the record for the verdict, with the same columns.
+
+    A list of channels says which columns are channels, if no option does.
+    """
     groups = [order.history, order.held_out] if order.held_out else [order.history]
     histories = read_histories(
         groups,
         inputs=order.inputs,
         ignore=order.ignore,
-        channels=order.channels,
+        channels=order.channels or (None if tags is None else tags.channels),
         segment_column=order.segment_column,
         time_column=order.time_column,
         dt=order.dt,
     )
-    return histories[0], histories[1] if order.held_out else None
+    found = [each if tags is None else _with_units(each, tags) for each in histories]
+    return found[0], found[1] if order.held_out else None
+
+
+def _with_units(history: History, tags: Tags) -> History:
+    units = dict(zip(tags.channels, tags.units, strict=True))
+    return replace(history, units=tuple(units.get(channel, "") for channel in history.channel_names))
+
+
+def _sensors(tags: Tags, history: History) -> dict[str, list[str]]:
+    """The sensors that own a channel of the history."""
+    there = set(history.channel_names)
+    kept = {sensor: [channel for channel in own if channel in there] for sensor, own in tags.sensors.items()}
+    return {sensor: own for sensor, own in kept.items() if own}
 
 
 @contextmanager

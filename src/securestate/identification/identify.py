@@ -228,6 +228,11 @@ class _Task:
         self.tell("judging", 0, 1)
         verdict = self._judge(fit.model if self.other else checked, found, subspace, plant, channels, name)
         factor = self._noise_factor(verdict)
+        if factor > 1:
+            remarks.append(
+                f"The noises of the plant were raised by {100 * (factor - 1):.2g} %, as variances, so that "
+                "errors on new data are as large as it says."
+            )
         sure = {sensor.name: sensor.verifiable for sensor in verdict.sensors}
         best = max(found.innovations, key=lambda n: found.innovations[n])
         return Identified(

@@ -101,15 +101,9 @@ def _reasons(found: Identified, sentences: list[str]) -> str:
 
 def _remarks(found: Identified) -> str:
     """What was done to the data and to the model."""
-    said = list(found.remarks)
-    if found.noise_factor != 1:
-        said.append(
-            f"The noises of the plant were raised {facts.raised(found.noise_factor)}, as variances, "
-            "so that it claims errors as large as they are on new data."
-        )
-    if not said:
+    if not found.remarks:
         return ""
-    return f'<ul class="remarks">{"".join(f"<li>{escape(one)}</li>" for one in said)}</ul>'
+    return f'<ul class="remarks">{"".join(f"<li>{escape(one)}</li>" for one in found.remarks)}</ul>'
 
 
 def _counted(found: Identified) -> str:
