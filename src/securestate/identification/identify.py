@@ -390,7 +390,7 @@ class _Task:
                 for form in (subspace.model(n), without)
             ]
             if shares[0] >= VERIFIABLE > shares[1]:
-                named.append(f"{sensor.name} ({shares[0]:.0%}, else {max(shares[1], 0):.0%})")
+                named.append(f"{sensor.name} ({100 * shares[0]:.0f} %, else {100 * max(shares[1], 0):.0f} %)")
         if not named:
             return []
         text = (
