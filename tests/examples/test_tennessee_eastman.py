@@ -8,7 +8,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from securestate import Plant
+from securestate import Plant, judge
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "tennessee-eastman"
 PRESSURE, TEMPERATURE = "XMEAS 7 reactor pressure", "XMEAS 11 separator temperature"
@@ -23,7 +23,7 @@ def words(page: Path) -> str:
 
 def call(*words: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, *map(str, words)], capture_output=True, text=True, encoding="utf-8", timeout=60
+        [sys.executable, *map(str, words)], capture_output=True, text=True, encoding="utf-8", timeout=180
     )
 
 
@@ -39,6 +39,28 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 @pytest.fixture(scope="module")
 def estimates(done: tuple[Path, str]) -> pd.DataFrame:
     return pd.read_parquet(done[0] / "estimates.parquet")
+
+
+VERIFIABLE = (1, 7, 11, 13, 16, 18, 19, 20, 21, 22)
+
+
+def test_the_plant_that_is_learned_is_usable_and_ten_sensors_can_be_checked(done: tuple[Path, str]) -> None:
+    assert "\nThe model is inadequate" not in done[1]
+    plant = Plant.load(done[0] / "plant.toml")
+    checked = [name for name, fine in zip(plant.channel_names, plant.verifiable, strict=True) if fine]
+    assert checked == [f"XMEAS {i}" for i in VERIFIABLE]
+    assert (plant.units[6], plant.dt) == ("kPa gauge", 180.0)
+
+
+def test_the_plant_says_how_large_its_errors_are_on_a_record_that_is_new_to_it(
+    done: tuple[Path, str],
+) -> None:
+    plant = Plant.load(done[0] / "plant.toml")
+    clean = pd.read_csv(EXAMPLE / "data.csv")[list(plant.channel_names)]
+    verdict = judge(plant, clean)
+    assert verdict.grade == "good"
+    assert 0.95 < verdict.residuals.size < 1.07
+    assert set(verdict.verifiable) == {plant.sensor_names[i - 1] for i in VERIFIABLE}
 
 
 def test_exactly_the_two_falsified_sensors_are_named(done: tuple[Path, str]) -> None:
@@ -71,6 +93,7 @@ def test_a_lie_is_found_in_time_and_measured_within_three_percent(
 def test_the_report_exists_and_names_the_liars(done: tuple[Path, str]) -> None:
     report = done[0] / "report.html"
     assert str(report) in done[1].splitlines()[-1]
+    assert all((done[0] / f"{page}.html").exists() for page in ("identification", "resilience"))
     assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in words(report)
 
 
@@ -82,13 +105,13 @@ def test_the_attacked_record_differs_from_the_clean_one_in_the_lies_only(done: t
     assert added["XMEAS 11"].round(5).iloc[[480, 540, 600, 959]].tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
-def test_on_the_clean_record_nobody_is_named(tmp_path: Path) -> None:
+def test_on_the_clean_record_nobody_is_named(done: tuple[Path, str]) -> None:
     words = (
         "-m",
         "securestate",
         "estimate",
         "--plant",
-        EXAMPLE / "plant.toml",
+        done[0] / "plant.toml",
         "--data",
         EXAMPLE / "data.csv",
     )
