@@ -1,4 +1,4 @@
-"""The bias monitor, slow: every number from its definition, whole histories kept, nothing updated that can be summed.
+"""The bias monitor, slow: every number from its definition, nothing updated that can be summed.
 
 No channel of `y` need arrive. Units are those of the normalised plant.
 """

@@ -1,15 +1,16 @@
-"""Design of the bias monitor: its kernel, its limit from simulated whitened innovations, its variance factor.
+"""Design of the bias monitor: its kernel, its limit from simulated innovations, its variance factor.
 
-The limit. Whitened innovations of the model itself are white, so independent standard normal numbers go through the
-kernel's own statistic. h(t) is the least ratio of the last `PERSIST` samples if one sensor that can be named led all of
-them by more than `MARGIN`, minus infinity otherwise: at a limit l a sensor is named where h > l. Times where h > l that
-are no more than a window apart are one episode. Above a level u that is passed by `EPISODES` episodes the peaks
-exceed u by amounts that are exponential with mean beta (the tail of a maximum of squares of normal numbers), so that
+The limit. Whitened innovations of the model itself are white, so independent standard normal numbers go
+through the kernel's own statistic. h(t) is the least ratio of the last `PERSIST` samples if one sensor that
+can be named led all of them by more than `MARGIN`, minus infinity otherwise: at a limit l a sensor is named
+where h > l. Times where h > l that are no more than a window apart are one episode. Above a level u that is
+passed by `EPISODES` episodes the peaks exceed u by amounts that are exponential with mean beta (the tail of
+a maximum of squares of normal numbers), so that
 
     limit = u + beta ln(episodes above u * run_length / samples)
 
-The factor. On clean records the mean over blocks of `BLOCK` samples of the largest ratio of a leader that can be named
-must be that of the model. It falls as gamma grows; gamma >= 1 is found by bisection.
+The factor. On clean records the mean over blocks of `BLOCK` samples of the largest ratio of a leader that
+can be named must be that of the model. It falls as gamma grows; gamma >= 1 is found by bisection.
 """
 
 from __future__ import annotations
@@ -43,10 +44,11 @@ GAMMA_LIMIT = 2.0
 BLOCK, BLOCKS = 20, 10
 #: Samples of a clean record from which its start is estimated.
 START = 20
-#: Simulated samples per `run_length`, at most so many multiply-adds in all, but at least so many samples.
-REPEATS, WORK, LEAST = 50, 2e9, 4000
-#: Episodes whose peaks make the tail.
-EPISODES = 200
+#: Simulated samples per `run_length`, and the range they are kept in; then as few as so many multiply-adds
+#: allow, but never fewer than the last number.
+REPEATS, RANGE, WORK, LEAST = 50, (50_000, 200_000), 2e9, 4000
+#: Episodes whose peaks make the tail, and the steps in which its beginning is looked for.
+EPISODES, STRIDE = 200, 0.25
 
 
 def kernel(plant: Plant, steady: SteadyState, limit: float, gamma: float) -> _kernels.Kernel:
@@ -60,29 +62,31 @@ def ideal(plant: Plant, steady: SteadyState, samples: int) -> Leads:
     """Who leads at every sample of a run of the model itself; the same numbers at every call."""
     news = np.random.default_rng(0).standard_normal((samples + WINDOW, plant.m))
     leads = _kernels.bias_leads(plant, _filter(steady), statistic=(WINDOW, KAPPA, 1.0), news=news)
-    leader, ratio, ahead = (part[WINDOW:] for part in leads)
+    leader, ratio, ahead = leads[0][WINDOW:], leads[1][WINDOW:], leads[2][WINDOW:]
     return ~plant.uncheckable[leader], leader, ratio, ahead
 
 
 def simulated_samples(plant: Plant, run_length: float) -> int:
     """How many samples of the model are simulated for its limit."""
     affordable = WORK / (WINDOW * plant.m**2)
-    return int(max(LEAST, min(REPEATS * run_length, affordable)))
+    return int(max(LEAST, min(np.clip(REPEATS * run_length, *RANGE), affordable)))
 
 
 def limit_of(leads: Leads, run_length: float) -> float:
-    """The limit at which an episode begins once in `run_length` samples on average."""
+    """The limit at which an episode begins once in `run_length` samples on average.
+
+    At least `DROP`: a bias named below it would be dropped at once.
+    """
     h = heights(leads)
     expected = len(h) / run_length
     wanted = max(expected, min(EPISODES, len(h) / (5 * WINDOW)))
-    low, high = 0.0, float(max(h.max(), 0.0)) + 1.0
-    for _ in range(40):
-        middle = (low + high) / 2
-        low, high = (middle, high) if len(peaks(h, middle)) > wanted else (low, middle)
-    tail = peaks(h, high)
+    level, tail = float(h.max()), peaks(h, np.inf)
+    while len(tail) < wanted and level > 0:
+        level -= STRIDE
+        tail = peaks(h, level)
     if not len(tail):
         return DROP
-    found = high + float(np.mean(tail - high)) * np.log(len(tail) / expected)
+    found = level + float(np.mean(tail - level)) * np.log(len(tail) / expected)
     return max(float(found), DROP)
 
 
@@ -137,8 +141,8 @@ def variance_factor(plant: Plant, steady: SteadyState, leads: Leads, records: ob
         return 1.0
     if excess(GAMMA_LIMIT) > 0:
         raise DesignError(
-            f"on the clean records the innovations vary more than {GAMMA_LIMIT:g} times as much as the model says: "
-            "the model is inadequate, and a bias cannot be told from its errors",
+            f"on the clean records the innovations vary more than {GAMMA_LIMIT:g} times as much as the model "
+            "says: the model is inadequate, and a bias cannot be told from its errors",
             "identify the plant again (securestate.identify), and see what securestate.judge says of it",
         )
     low, high = 1.0, GAMMA_LIMIT

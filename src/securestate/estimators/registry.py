@@ -62,7 +62,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "mixture": Method(MixtureFusion, "clusters what every sensor alone says of the state"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
-        "bias-monitor": Method(BiasMonitor, "finds small constant biases, and gathers evidence for them"),
+        "bias-monitor": Method(BiasMonitor, "gathers evidence for small constant biases"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
         "augmented": Method(AugmentedKalman, "takes attacks on sensors that are not protected for states"),
         "adaptive-kalman": Method(AdaptiveKalman, "the same with attacks that drift at a constant rate"),
