@@ -253,11 +253,9 @@ impl Biases {
             }
         }
         self.size[e] = total;
-        let covariance = &mut self.covariance;
-        for i in 0..self.count {
-            covariance[e][i] += covariance[f][i];
-        }
-        for row in covariance.iter_mut().take(self.count) {
+        let added = self.covariance[f];
+        self.covariance[e].iter_mut().zip(added).for_each(|(target, value)| *target += value);
+        for row in self.covariance.iter_mut().take(self.count) {
             row[e] += row[f];
         }
     }
@@ -290,7 +288,7 @@ impl Biases {
         }
     }
 
-    /// P_ij += Σ_ef w_e V_ef w_fᵀ for i and j in `rows` and `columns`.
+    /// Element (i, j) of Σ_ef w_e V_ef w_fᵀ: what is not known of the biases, in x.
     #[must_use]
     pub fn spread(&self, i: usize, j: usize) -> f64 {
         let w = |e: usize, i: usize| self.posterior[e * self.n + i];

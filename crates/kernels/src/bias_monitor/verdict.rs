@@ -88,3 +88,43 @@ pub fn lead(scores: &[f64], channel_sensor: &[usize]) -> Lead {
     first.ahead = first.score - second;
     first
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn law() -> Law {
+        Law { limit: 10.0, margin: 4.0, persist: 3, further: 6.0, uncheckable: vec![false, false, true] }
+    }
+
+    fn leading(sensor: usize, score: f64, ahead: f64) -> Lead {
+        Lead { sensor, channel: sensor, score, ahead }
+    }
+
+    #[test]
+    fn channels_of_one_sensor_do_not_compete() {
+        let found = lead(&[3.0, 9.0, 8.0, 1.0, 7.0], &[0, 1, 1, 1, 2]);
+        assert_eq!((found.sensor, found.channel, found.score, found.ahead), (1, 1, 9.0, 2.0));
+        assert_eq!(lead(&[5.0, 6.0, 2.0], &[0, 0, 1]).ahead, 4.0);
+    }
+
+    #[test]
+    fn three_wins_in_a_row_name_and_any_other_sample_starts_anew() {
+        let (law, mut streak) = (law(), Streak::default());
+        let mut judge = |lead| streak.judge(&law, lead, false, true);
+        let (one, other) = (leading(0, 11.0, 5.0), leading(1, 11.0, 5.0));
+        let verdicts = [one, one, other, one, one, one, one].map(&mut judge);
+        assert_eq!(verdicts[..5], [Verdict::Quiet; 5]);
+        assert_eq!(verdicts[5..], [Verdict::Named, Verdict::Quiet]);
+        assert_eq!([one, leading(0, 11.0, 3.0), one].map(judge)[1], Verdict::Unclear);
+    }
+
+    #[test]
+    fn who_cannot_be_checked_or_kept_is_unclear_and_a_further_sensor_needs_more() {
+        let (law, mut streak) = (law(), Streak::default());
+        assert_eq!(streak.judge(&law, leading(2, 50.0, 30.0), false, true), Verdict::Unclear);
+        assert_eq!(streak.judge(&law, leading(0, 50.0, 30.0), false, false), Verdict::Unclear);
+        assert_eq!(streak.judge(&law, leading(0, 15.0, 3.0), true, true), Verdict::Quiet);
+        assert_eq!(streak.judge(&law, leading(0, 17.0, 3.0), true, true), Verdict::Unclear);
+    }
+}
