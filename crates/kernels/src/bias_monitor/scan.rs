@@ -48,8 +48,6 @@ pub struct Scores {
     pub score: Vec<f64>,
     /// k − 1, (width,).
     pub age: Vec<f64>,
-    /// One row of sums without the known biases.
-    row: Vec<f64>,
 }
 
 impl Scan {
@@ -106,14 +104,14 @@ impl Scan {
     /// Room for the scores.
     #[must_use]
     pub fn scores(&self) -> Scores {
-        let row = || vec![0.0; self.width];
-        Scores { score: row(), age: row(), row: row() }
+        Scores { score: vec![0.0; self.width], age: vec![0.0; self.width] }
     }
 
     /// g_i over the onsets since the first of `samples` samples, of sums without what known biases put there:
     /// `known` holds their sizes, and their tables one after the other.
     pub fn score(&self, sums: &[f64], samples: usize, known: (&[f64], &[f64]), out: &mut Scores) {
         out.score.fill(f64::NEG_INFINITY);
+        out.age.fill(0.0);
         self.arithmetic.run(Score { scan: self, sums, samples, known, out });
     }
 }
@@ -185,23 +183,31 @@ impl Work for Score<'_> {
     fn run(self) {
         let Self { scan, sums, samples, known: (sizes, tables), out } = self;
         let (width, table) = (scan.width, scan.size());
-        let ages = scan.penalty.iter().enumerate().take(samples);
-        for (age, penalty) in ages {
-            let at = age * width..(age + 1) * width;
-            out.row.copy_from_slice(&sums[at.clone()]);
-            for (size, known) in sizes.iter().zip(tables.chunks_exact(table)) {
-                for (target, value) in out.row.iter_mut().zip(&known[at.clone()]) {
-                    *target -= size * value;
+        let best = out.score.as_chunks_mut::<LANES>().0.iter_mut().zip(out.age.as_chunks_mut::<LANES>().0);
+        for (block, (score, oldest)) in best.enumerate() {
+            for (age, penalty) in scan.penalty.iter().enumerate().take(samples) {
+                let at = age * width + block * LANES;
+                let (Some(row), Some(weight)) = (four(sums, at), four(&scan.weight, at)) else { break };
+                let mut row = *row;
+                for (size, known) in sizes.iter().zip(tables.chunks_exact(table)) {
+                    let Some(known) = four(known, at) else { break };
+                    for lane in 0..LANES {
+                        row[lane] -= size * known[lane];
+                    }
                 }
-            }
-            let weights = &scan.weight[at];
-            let best = out.score.iter_mut().zip(&mut out.age);
-            for ((sum, weight), (score, oldest)) in out.row.iter().zip(weights).zip(best) {
-                let value = sum * sum * weight - penalty;
-                let better = value > *score;
-                *score = if better { value } else { *score };
-                *oldest = if better { age as f64 } else { *oldest };
+                for lane in 0..LANES {
+                    let value = row[lane] * row[lane] * weight[lane] - penalty;
+                    let better = value > score[lane];
+                    score[lane] = if better { value } else { score[lane] };
+                    oldest[lane] = if better { age as f64 } else { oldest[lane] };
+                }
             }
         }
     }
+}
+
+/// Four numbers in a row.
+#[inline(always)]
+fn four(numbers: &[f64], at: usize) -> Option<&[f64; LANES]> {
+    numbers.get(at..).and_then(|rest| rest.first_chunk())
 }
