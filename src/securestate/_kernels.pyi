@@ -16,6 +16,8 @@ __all__ = [
     "PenaltySolver",
     "adaptive_joint",
     "augmented",
+    "bias_leads",
+    "bias_monitor",
     "detector",
     "innovation_mixture",
     "joint_fusion",
@@ -99,6 +101,20 @@ def augmented(
     start: _Float,
     quantiles: _Float,
     forgetting: tuple[float, _Float] | None,
+) -> Kernel: ...
+def bias_leads(
+    plant: Plant,
+    filter: tuple[_Float, _Float, _Float],
+    *,
+    statistic: tuple[int, float, float],
+    news: _Float,
+) -> tuple[NDArray[np.int64], _Float, _Float]: ...
+def bias_monitor(
+    plant: Plant,
+    filter: tuple[_Float, _Float, _Float],
+    *,
+    statistic: tuple[int, float, float],
+    decision: tuple[float, float, int, float, float],
 ) -> Kernel: ...
 def detector(
     plant: Plant,

@@ -5,6 +5,7 @@ use pyo3::prelude::*;
 mod adaptive_joint;
 mod arrays;
 mod augmented;
+mod bias_monitor;
 mod detector;
 mod errors;
 mod estimate;
@@ -26,6 +27,8 @@ mod _kernels {
     use super::adaptive_joint::adaptive_joint;
     #[pymodule_export]
     use super::augmented::augmented;
+    #[pymodule_export]
+    use super::bias_monitor::{bias_leads, bias_monitor};
     #[pymodule_export]
     use super::detector::detector;
     #[pymodule_export]

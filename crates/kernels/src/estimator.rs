@@ -31,7 +31,8 @@ pub enum Status {
     IllConditioned = 3,
     /// The method's own recursion has broken down; what is reported comes from a safer one.
     BrokenDown = 4,
-    /// Two ways to say who lies explain the sample about equally well and disagree on x; P includes both.
+    /// Two ways to say who lies explain the sample about equally well and disagree on x; the method says if P
+    /// includes both.
     Ambiguous = 5,
     /// More sensors are suspected than a minority: those that are believed may be the liars.
     MajoritySuspect = 6,

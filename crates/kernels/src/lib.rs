@@ -7,6 +7,7 @@
 pub mod adaptive_joint;
 pub mod augmented;
 pub mod bank;
+pub mod bias_monitor;
 pub mod codec;
 pub mod dense;
 pub mod detectors;

@@ -8,6 +8,9 @@ use securestate_kernels::adaptive_joint::{AdaptiveJoint, Settings};
 use securestate_kernels::augmented::Augmented;
 use securestate_kernels::augmented::drift::Forgetting;
 use securestate_kernels::augmented::report::Report;
+use securestate_kernels::bias_monitor::scan::Rule as Statistic;
+use securestate_kernels::bias_monitor::verdict::Law;
+use securestate_kernels::bias_monitor::{BiasMonitor, Design as MonitorDesign};
 use securestate_kernels::detectors::local::LocalFilter;
 use securestate_kernels::detectors::{Detector, Rule};
 use securestate_kernels::joint_fusion::JointFusion;
@@ -312,6 +315,36 @@ fn a_step_with_attacks_as_states_allocates_nothing_broken_down_or_not() {
             let prior = identity(n - 1);
             let started = allocations_of_steps(kernel.as_ref(), Some(&prior));
             assert_eq!(started, 0, "prior ({n}, {m}) {factor:?}");
+        }
+    }
+}
+
+/// A monitor with a rough gain that names whoever leads by a little, so that biases come, merge and go.
+fn bias_monitor(states: usize, channels: usize, limit: f64) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let design = MonitorDesign {
+        gain: (0..n * m).map(|i| if i / m == i % m % n { 0.3 / m as f64 } else { 0.0 }).collect(),
+        innovation_cov: identity(m),
+        covariance: identity(n),
+        rule: Statistic { window: 8, kappa: 1.5, gamma: 1.0 },
+        law: Law {
+            limit,
+            margin: 0.0,
+            persist: 2,
+            further: 0.0,
+            uncheckable: (0..m.div_ceil(2)).map(|sensor| sensor == 1).collect(),
+        },
+        drop: 0.5,
+    };
+    Design::boxed(BiasMonitor::new(model(n, m), design).unwrap(), plain_units(m)).unwrap()
+}
+
+#[test]
+fn a_bias_monitor_step_allocates_nothing_whoever_is_named() {
+    for (n, m) in [(1, 3), (4, 5), (12, 30)] {
+        for limit in [f64::INFINITY, 9.0, 0.1] {
+            let kernel = bias_monitor(n, m, limit);
+            assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "({n}, {m}) {limit}");
         }
     }
 }

@@ -146,7 +146,13 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(help="how often an honest sample raises an alarm; not for kalman, sparse and mixtures."),
+        typer.Option(
+            help="how often an honest sample raises an alarm; not for kalman, sparse, bias-monitor, mixtures."
+        ),
+    ] = None,
+    run_length: Annotated[
+        float | None,
+        typer.Option(help="bias-monitor: samples between two false alarms on average (default: 1000)."),
     ] = None,
     scope: Annotated[
         Scope | None, typer.Option(help="chi-square: each sensor alone (default), or all at once.")
@@ -261,6 +267,7 @@ def estimate(
         "form": None if form is None else form.value,
         "refit": refit,
         "false_alarm_rate": false_alarm_rate,
+        "run_length": run_length,
         "scope": None if scope is None else scope.value,
         "on_alarm": None if on_alarm is None else on_alarm.value,
         "window": window,

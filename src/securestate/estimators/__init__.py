@@ -5,6 +5,7 @@ from securestate.estimators.adaptive_joint import AdaptiveJointFilter
 from securestate.estimators.adaptive_kalman import AdaptiveKalman
 from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator, Filter, Status
+from securestate.estimators.bias_monitor import BiasMonitor
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.cold_start import ColdStart, cold_start
 from securestate.estimators.innovation_gate import InnovationGate
@@ -24,6 +25,7 @@ __all__ = [
     "AdaptiveJointFilter",
     "AdaptiveKalman",
     "AugmentedKalman",
+    "BiasMonitor",
     "ChiSquareFilter",
     "ColdStart",
     "Estimate",

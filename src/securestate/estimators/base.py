@@ -51,7 +51,9 @@ _ADVICE = {
     Status.BROKEN_DOWN: (
         "The method's own recursion broke down; this sample shows the safer filter that its page names."
     ),
-    Status.AMBIGUOUS: ("Two ways to say who lies explain the sample about equally well; P includes both."),
+    Status.AMBIGUOUS: (
+        "Two ways to say who lies explain the sample about equally well; not every method's P includes both."
+    ),
     Status.MAJORITY_SUSPECT: (
         "More than half of the sensors are suspected: those that are believed may be the liars."
     ),

@@ -12,6 +12,7 @@ from securestate.estimators.adaptive_joint import AdaptiveJointFilter
 from securestate.estimators.adaptive_kalman import AdaptiveKalman
 from securestate.estimators.augmented_kalman import AugmentedKalman
 from securestate.estimators.base import Estimator
+from securestate.estimators.bias_monitor import BiasMonitor
 from securestate.estimators.chi_square import ChiSquareFilter
 from securestate.estimators.innovation_gate import InnovationGate
 from securestate.estimators.innovation_mixture import InnovationMixture
@@ -61,6 +62,7 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "protected": Method(ProtectedKalman, "hears protected sensors only"),
         "mixture": Method(MixtureFusion, "clusters what every sensor alone says of the state"),
         "gate": Method(InnovationGate, "leaves out readings far from the common prediction"),
+        "bias-monitor": Method(BiasMonitor, "gathers evidence for small constant biases"),
         "chi-square": Method(ChiSquareFilter, "leaves out sensors that surprise their own filter"),
         "augmented": Method(AugmentedKalman, "takes attacks on sensors that are not protected for states"),
         "adaptive-kalman": Method(AdaptiveKalman, "the same with attacks that drift at a constant rate"),
