@@ -31,6 +31,9 @@ class Step:
     def at(self, t: int) -> Float:
         return self.s[t - self.onset] if t >= self.onset else np.zeros_like(self.s[0])
 
+    def since(self, t: int) -> list[Float]:
+        return self.s[t - self.onset :]
+
 
 class Textbook:
     """One record, sample by sample."""
@@ -91,13 +94,13 @@ class Textbook:
             for a, one in enumerate(self.steps):
                 known = one in self.base
                 first = self.since + 1 if known else one.onset
-                h[a] = sum(one.at(k) @ self.news[k] for k in range(first, t))
+                h[a] = np.vdot(one.since(first), self.news[first:t])
                 if known:
                     h[a] += self.h0[self.base.index(one)]
                 for b, other in enumerate(self.steps):
                     both = known and other in self.base
                     first = self.since + 1 if both else max(one.onset, other.onset)
-                    G[a, b] = sum(one.at(k) @ other.at(k) for k in range(first, t))
+                    G[a, b] = np.vdot(one.since(first), other.since(first))
                     if both:
                         G[a, b] += self.G0[self.base.index(one), self.base.index(other)]
             self.V = self.gamma * np.linalg.inv(G)
@@ -126,7 +129,7 @@ class Textbook:
         ]
         g = np.empty((len(clean), self.plant.m))
         for k in range(1, len(clean) + 1):
-            c = sum(self.signature[j].T @ clean[len(clean) - k + j] for j in range(k))
+            c = np.einsum("jai,ja->i", self.signature[:k], clean[len(clean) - k :])
             g[k - 1] = c**2 / (self.gamma * self.energy[k - 1]) - 2 * KAPPA * np.log(WINDOW / k)
         return g.max(axis=0), g.argmax(axis=0) + 1
 

@@ -161,12 +161,16 @@ def clean_records(plant: Plant, records: object) -> Iterator[tuple[Float, Float]
             expected = "(y, u) pairs, because the plant has inputs" if plant.n_inputs else "arrays y (T, m)"
             raise InputError(f"calibrate_on[{number}]", expected, type(record).__name__)
         y, u = record if isinstance(record, tuple) else (record, None)
-        measured = _measured(y, plant)
-        yield measured, check_inputs(u, plant, measured.shape)
+        try:
+            yield _checked(plant, y, u)
+        except InputError as wrong:
+            name = f"calibrate_on[{number}]: {wrong.argument}"
+            raise type(wrong)(name, wrong.expected, wrong.received) from None
 
 
-def _measured(y: ArrayLike, plant: Plant) -> Float:
-    return check_measurements(y, plant, ("T",))
+def _checked(plant: Plant, y: ArrayLike, u: ArrayLike | None) -> tuple[Float, Float]:
+    measured = check_measurements(y, plant, ("T",))
+    return measured, check_inputs(u, plant, measured.shape)
 
 
 def _started(plant: Plant, steady: SteadyState, y: Float, u: Float) -> tuple[Float, Float, Float]:
