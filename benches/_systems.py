@@ -47,7 +47,9 @@ def general(rng: np.random.Generator) -> Truth:
         K, G = rng.standard_normal((n, m)) / np.sqrt(m), rng.standard_normal((m, m))
         for share in np.linspace(1.0, 0.05, 39):
             if radius(A - share * K @ C) < 0.95:
-                return Truth(Innovations(A, B, C, np.zeros((m, q)), share * K, G @ G.T / m + 0.1 * np.eye(m)), None)
+                return Truth(
+                    Innovations(A, B, C, np.zeros((m, q)), share * K, G @ G.T / m + 0.1 * np.eye(m)), None
+                )
 
 
 def sizes(rng: np.random.Generator) -> tuple[int, int, int]:
