@@ -150,6 +150,13 @@ def estimate(
             help="how often an honest sample raises an alarm; not for kalman, sparse, bias-monitor, mixtures."
         ),
     ] = None,
+    calibrate_on: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE",
+            help="bias-monitor: a record without lies that the model was not fitted to; several times.",
+        ),
+    ] = None,
     run_length: Annotated[
         float | None,
         typer.Option(help="bias-monitor: samples between two false alarms on average (default: 1000)."),
@@ -268,6 +275,7 @@ def estimate(
         "refit": refit,
         "false_alarm_rate": false_alarm_rate,
         "run_length": run_length,
+        "calibrate_on": calibrate_on or None,
         "scope": None if scope is None else scope.value,
         "on_alarm": None if on_alarm is None else on_alarm.value,
         "window": window,

@@ -16,7 +16,7 @@ from securestate.cli.exits import Exit
 from securestate.cli.methods import design, refuse_foreign
 from securestate.errors import InputError, SecurestateWarning
 from securestate.estimators import ColdStart, Estimator, Run, cold_start, start_after, window_run
-from securestate.measurements import Measurements, read_measurements, write_run
+from securestate.measurements import Measurements, read_history, read_measurements, write_run
 from securestate.plant import Plant
 from securestate.reporting import summarise, write_report
 from securestate.reporting.beside import compare_runs
@@ -56,7 +56,7 @@ def run_order(order: Order) -> Exit:
     )
     with warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always", SecurestateWarning)
-        estimator = design(plant, order.method, order.choices, given=order.from_window)
+        estimator = design(plant, order.method, _with_records(plant, order), given=order.from_window)
         first = cold_start(plant, data.y, data.u) if order.from_window else None
     other = estimator.beside if first or not (estimator.beside and estimator.beside.no_steady_state) else None
     with console.progress(len(data.y) * (1 if other is None else 2), quiet=order.quiet) as advance:
@@ -75,6 +75,18 @@ def run_order(order: Order) -> Exit:
         both = [] if beside is None else [compare_runs(run, beside).sentence]
         console.show_summary(run, summary, [*both, *said], written)
     return Exit.SUSPECTED if summary.liars and not order.exit_zero else Exit.CLEAN
+
+
+def _with_records(plant: Plant, order: Order) -> Mapping[str, object]:
+    """The choices, with what the files hold that a method is calibrated on."""
+    files = order.choices.get("calibrate_on")
+    if files is None:
+        return order.choices
+    assert isinstance(files, list)
+    channels, inputs = plant.channel_names, plant.input_names
+    clean = read_history(files, channels=channels, inputs=inputs, time_column=order.time_column, dt=plant.dt)
+    records = [(y, u) if plant.n_inputs else y for y, u in clean.segments]
+    return {**order.choices, "calibrate_on": records}
 
 
 def run_in_blocks(
