@@ -112,7 +112,10 @@ def test_on_long_segments_both_e_steps_agree() -> None:
         found, exact = expect(model, Stack(segments)), expect_with_gaps(model, segments)
         assert found.likelihood / exact.likelihood == pytest.approx(1, abs=2 / N)
         errors.append(
-            max(np.max(np.abs(getattr(found, a) - getattr(exact, a))) / np.max(np.abs(exact.gg)) for a in NAMES)
+            max(
+                np.max(np.abs(getattr(found, a) - getattr(exact, a))) / np.max(np.abs(exact.gg))
+                for a in NAMES
+            )
         )
     assert errors[1] < 0.3 * errors[0] < 0.01
 
@@ -122,7 +125,12 @@ def test_the_likelihood_of_many_channels_is_computed_by_the_smaller_matrix_witho
     model = random_model(8, n=2, m=4)
     fewer = Independent(model.A, model.B, model.C[:3], model.D[:3], model.Q, model.r[:3])
     blind = Independent(
-        model.A, model.B, np.vstack([model.C[:3], np.zeros(2)]), np.vstack([model.D[:3], [0]]), model.Q, model.r
+        model.A,
+        model.B,
+        np.vstack([model.C[:3], np.zeros(2)]),
+        np.vstack([model.D[:3], [0]]),
+        model.Q,
+        model.r,
     )
     y, u = record(model, 50, 80)
     noise = -0.5 * np.sum(y[:, 3] ** 2 / model.r[3] + np.log(2 * np.pi * model.r[3]))

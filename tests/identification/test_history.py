@@ -71,12 +71,20 @@ def test_missing_readings_are_counted_and_stay_where_they_are() -> None:
 @pytest.mark.parametrize(
     ("arguments", "error", "message"),
     [
-        ({"y": [1.0, 2.0]}, ShapeError, "y: expected shape (N, channels), or a list of such arrays, received shape (2"),
+        (
+            {"y": [1.0, 2.0]},
+            ShapeError,
+            "y: expected shape (N, channels), or a list of such arrays, received shape (2",
+        ),
         ({"y": Y, "u": U[:4]}, ShapeError, "u: expected 6 samples, as y has, received 4"),
         ({"y": [Y, Y], "u": [U]}, ShapeError, "u: expected 2 segments, as y has, received 1"),
         ({"y": [Y, Y], "u": [U, U[:3]]}, ShapeError, "u[1]: expected 6 samples, as y has, received 3"),
         ({"y": [Y, Y[:, :1]]}, ShapeError, "y[1]: expected shape (N, 2), received shape (6, 1)"),
-        ({"y": np.where(Y == 5, np.inf, Y)}, MeasurementError, "y: expected finite numbers, NaN where missing, rece"),
+        (
+            {"y": np.where(Y == 5, np.inf, Y)},
+            MeasurementError,
+            "y: expected finite numbers, NaN where missing, rece",
+        ),
         ({"y": [Y, np.where(Y == 5, np.inf, Y)]}, MeasurementError, "received inf at [2, 1]"),
         ({"y": Y[:0]}, MeasurementError, "y: expected samples, received none"),
         ({"y": Y, "u": NAN * U}, MeasurementError, "y: expected samples, received none"),

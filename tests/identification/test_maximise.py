@@ -31,9 +31,7 @@ def from_a_known_start(base: Independent, segments: Record) -> Callable[[Indepen
 
 
 def central_differences(task: Callable[[Array], tuple[float, Array]], x: Array, step: float) -> Array:
-    return np.array(
-        [(task(x + step * e)[0] - task(x - step * e)[0]) / (2 * step) for e in np.eye(len(x))]
-    )
+    return np.array([(task(x + step * e)[0] - task(x - step * e)[0]) / (2 * step) for e in np.eye(len(x))])
 
 
 def everything(model: Independent) -> Freedom:
@@ -62,9 +60,7 @@ def test_the_gradient_equals_central_differences(
 ) -> None:
     model = blocked(random_model(1, n=3, m=3, q=2, radius=0.8))
     segments = [(with_gaps(y, share, 1), u) for y, u in (record(model, 15, 2), record(model, 10, 3))]
-    task = _Task(
-        model, freedom(model), np.full(3, 0.1), from_a_known_start(model, segments), samples=25
-    )
+    task = _Task(model, freedom(model), np.full(3, 0.1), from_a_known_start(model, segments), samples=25)
     x = task.pack() + 0.05 * np.random.default_rng(4).normal(size=len(task.pack()))
     value, slope = task(x)
     assert np.isfinite(value)

@@ -6,7 +6,15 @@ from numpy.typing import NDArray
 
 from securestate import MeasurementError, SecurestateWarning, identify
 from securestate.identification import History
-from securestate.identification.prepare import LEAST_NOISE, STRETCH, Prepared, complete, prepare, rounding, split
+from securestate.identification.prepare import (
+    LEAST_NOISE,
+    STRETCH,
+    Prepared,
+    complete,
+    prepare,
+    rounding,
+    split,
+)
 
 Array = NDArray[np.float64]
 NAN = float("nan")
@@ -85,7 +93,9 @@ def test_what_never_changes_or_holds_nothing_is_left_out_and_said() -> None:
 
 
 def test_a_history_of_constant_channels_is_refused() -> None:
-    with pytest.raises(MeasurementError, match="y: expected channels that vary, received constant channels only"):
+    with pytest.raises(
+        MeasurementError, match="y: expected channels that vary, received constant channels only"
+    ):
         prepared(np.tile([1.0, 2.0], (100, 1)))
 
 

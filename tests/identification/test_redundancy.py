@@ -23,7 +23,9 @@ def shared_noises(seed: int, n: int = 2, m: int = 3) -> Innovations:
 
 
 @pytest.mark.parametrize("channels", [[0], [2], [1, 3]])
-def test_with_independent_noises_it_is_a_kalman_filter_that_does_not_hear_the_sensor(channels: list[int]) -> None:
+def test_with_independent_noises_it_is_a_kalman_filter_that_does_not_hear_the_sensor(
+    channels: list[int],
+) -> None:
     model = random_model(1, n=2, m=4, q=2)
     y, u = record(model, 300, 2)
     deaf = y.copy()

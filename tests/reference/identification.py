@@ -89,7 +89,9 @@ def moments(known: Gaussian, u: Array) -> dict[str, Array]:
         return np.vstack([second[x(k), other], np.outer(u[k], known.mean[other])])
 
     def z_with_z(k: int) -> Array:
-        return np.hstack([z_with(k, x(k)), np.vstack([np.outer(known.mean[x(k)], u[k]), np.outer(u[k], u[k])])])
+        return np.hstack(
+            [z_with(k, x(k)), np.vstack([np.outer(known.mean[x(k)], u[k]), np.outer(u[k], u[k])])]
+        )
 
     zeros = {"zz": np.zeros((n + q, n + q)), "zx": np.zeros((n + q, n)), "xx": np.zeros((n, n))}
     sums = zeros | {"gg": np.zeros((n + q, n + q)), "gy": np.zeros((n + q, m)), "yy": np.zeros(m)}
