@@ -139,7 +139,7 @@ def doubling(A: Array, C: Array, Q: Array, R: Array, steps: int = 60) -> Array |
                 W_A, W_G = W[:, : len(I)], W[:, len(I) :]
                 A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
                 if np.max(np.abs(new - P)) <= 1e-15 * np.max(np.abs(new)):
-                    return new
+                    return new if np.all(np.isfinite(new)) else None
                 P = new
         except (linalg.LinAlgError, ValueError):
             return None

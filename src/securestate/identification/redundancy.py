@@ -77,18 +77,20 @@ CONFIDENCE = 1.645
 def explained(remains: Sequence[Array], readings: Sequence[Array]) -> tuple[float, float]:
     """Share of a sensor's variation that the others explain, and what it is at least with 95 % confidence.
 
-    Of several channels the one with the least counts. The error of the ratio comes from blocks of samples.
+    Of several channels the one with the least counts; NaN if one was hardly read. The error of the ratio comes
+    from blocks of samples.
 
     Args:
         remains, readings: (N, c) per segment, in the same units, NaN where nothing was read.
     """
-    worst = (np.inf, np.inf)
+    shares = []
     for i in range(remains[0].shape[1]):
         left = np.concatenate([part[:, i] for part in remains])
         said = np.concatenate([part[:, i] for part in readings])
         there = np.isfinite(left) & np.isfinite(said)
-        worst = min(worst, _explained(left[there], said[there]))
-    return worst
+        shares.append(_explained(left[there], said[there]))
+    unknown = [share for share in shares if np.isnan(share[0])]
+    return unknown[0] if unknown else min(shares)
 
 
 def _explained(left: Array, said: Array) -> tuple[float, float]:
