@@ -313,3 +313,14 @@ def test_a_sample_time_that_does_not_fit_the_file_is_pointed_at(command: Command
     assert "Most samples are inserted: the plant asks for one every 0.5 s; check dt." in " ".join(
         end.out.split()
     )
+
+
+def test_the_bias_monitor_is_calibrated_on_clean_files_and_others_refuse_them(command: Command) -> None:
+    calibrated = command(*LYING, "--method", "bias-monitor", "--calibrate-on", "honest.csv")
+    assert (calibrated.code, calibrated.err) == (3, "")
+    assert "1 of 4 sensors lies: flow 2." in calibrated.out
+    missing = command(*LYING, "--method", "bias-monitor", "--calibrate-on", "nowhere.csv")
+    assert missing.code == 2 and "nowhere.csv" in missing.err
+    foreign = command(*LYING, "--calibrate-on", "honest.csv")
+    assert foreign.code == 2
+    assert "--calibrate-on: expected --method bias-monitor, received --method sparse" in foreign.err
