@@ -2,8 +2,11 @@
 
 Orders are shortlisted by the innovations forms, which cost nothing more than the subspace. Independent noises
 often need more states for the same law, so from there on models with independent noises are fitted, for
-larger and larger orders as long as that helps. The smallest order counts that the data cannot tell from the
-best.
+larger and larger orders as long as that helps. Among orders that the samples kept back cannot tell from the
+best, Akaike's criterion on the samples fitted decides.
+
+References:
+    akaike1974.
 """
 
 from __future__ import annotations
@@ -33,9 +36,6 @@ Array = NDArray[np.float64]
 
 #: Samples per block whose means are compared: within a block they depend on each other; of few samples fewer.
 BLOCK, LEAST_BLOCK = 25, 5
-
-#: A smaller order may predict worse by this many nats per sample and channel.
-NEGLIGIBLE = 0.002
 
 #: Nats per sample and channel that independent noises may lose before that matters.
 COSTLY = 0.01
@@ -67,6 +67,22 @@ class OrderSearch:
     cost: float
 
 
+@final
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """A model of some order.
+
+    Attributes:
+        model: fitted to samples that are not kept back.
+        kept: log-likelihood of every sample kept back, nats.
+        criterion: that of the samples fitted, less the number of parameters (Akaike 1974), nats.
+    """
+
+    model: Independent | Innovations
+    kept: Array
+    criterion: float
+
+
 def search(
     subspaces: Sequence[Subspace],
     fitted: Record,
@@ -89,7 +105,7 @@ def search(
     if not tried:
         raise np.linalg.LinAlgError("no model of any order")
     forms, subspace = max(tried, key=lambda pair: max(values.mean() for values in pair[0].values()))
-    trials: dict[int, tuple[Array, Independent]] = {}
+    trials: dict[int, Trial] = {}
     fitted = _last(fitted, ENOUGH)
 
     def fit(n: int) -> None:
@@ -102,19 +118,20 @@ def search(
         fit(order)
         chosen = order
     else:
-        fit(_smallest(forms, 0.0))
+        fit(_chosen({n: _weighed(subspace, n, values, fitted) for n, values in forms.items()}))
         fit(best)
         _climb(trials, fit, float(forms[best].mean()) - COSTLY * subspace.m, best + subspace.m)
-        chosen = _smallest({n: values for n, (values, _) in trials.items()}, NEGLIGIBLE * subspace.m)
-    scores = {n: float(values.mean()) for n, (values, _) in sorted(trials.items())}
+        chosen = _chosen(trials)
     found = OrderSearch(
         order=chosen,
         past=subspace.p,
         innovations={n: float(values.mean()) for n, values in forms.items()},
-        independent=scores,
-        cost=float(forms[best].mean()) - max(scores.values()),
+        independent={n: float(trial.kept.mean()) for n, trial in sorted(trials.items())},
+        cost=float(forms[best].mean()) - max(float(trial.kept.mean()) for trial in trials.values()),
     )
-    return found, trials[chosen][1], subspace
+    model = trials[chosen].model
+    assert isinstance(model, Independent)
+    return found, model, subspace
 
 
 def _last(record: Record, samples: int) -> Record:
@@ -152,24 +169,27 @@ def score(model: Innovations | Independent, record: Record) -> Array:
     return np.concatenate([part[min(5, len(part) // 4) :] for part in density])
 
 
-def _trial(
-    subspace: Subspace, n: int, fitted: Record, kept_back: Record, floor: Array
-) -> tuple[Array, Independent]:
+def _trial(subspace: Subspace, n: int, fitted: Record, kept_back: Record, floor: Array) -> Trial:
+    """The model of order n with independent noises, as far as fitting it helps on what is kept back."""
     start = independent_of(subspace.model(n))
     freedom = replace(Freedom.all(start, subspace.feedthrough), limit=subspace.edge)
     em, steps = TRIAL
-    return max(
-        (
-            (score(model, kept_back), model)
-            for model in (start, maximise(start, fitted, freedom, floor, em=em, steps=steps).model)
-        ),
-        key=lambda found: float(found[0].mean()),
-    )
+    models = (start, maximise(start, fitted, freedom, floor, em=em, steps=steps).model)
+    kept, model = max(((score(each, kept_back), each) for each in models), key=lambda pair: pair[0].mean())
+    (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
+    parameters = n * (m + q) + n * (n + 1) // 2 + m + through
+    return Trial(model, kept, float(score(model, fitted).sum()) - parameters)
 
 
-def _climb(
-    trials: Mapping[int, tuple[Array, Independent]], fit: Callable[[int], None], enough: float, reach: int
-) -> None:
+def _weighed(subspace: Subspace, n: int, kept: Array, fitted: Record) -> Trial:
+    """The innovations form of order n, with what Akaike's criterion says of it."""
+    model = subspace.model(n)
+    (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
+    parameters = n * (2 * m + q) + m * (m + 1) // 2 + through
+    return Trial(model, kept, float(score(model, fitted).sum()) - parameters)
+
+
+def _climb(trials: Mapping[int, Trial], fit: Callable[[int], None], enough: float, reach: int) -> None:
     """Fit larger orders until that has not helped for a while.
 
     While the likelihood is below `enough`, what an innovations form has, orders up to `reach` are fitted:
@@ -178,24 +198,28 @@ def _climb(
     n, failed = max(trials), 0
     for step in CLIMB:
         n += step
-        best = max(values.mean() for values, _ in trials.values())
+        best = max(trial.kept.mean() for trial in trials.values())
         fit(n)
         if n not in trials:
             return
-        failed = failed + 1 if trials[n][0].mean() <= best else 0
+        failed = failed + 1 if trials[n].kept.mean() <= best else 0
         if failed >= PATIENCE and (best >= enough or n >= reach):
             return
 
 
-def _smallest(scores: Mapping[int, Array], negligible: float) -> int:
-    """The smallest order within one standard error of the best, or within what is negligible."""
-    best = max(scores, key=lambda n: scores[n].mean())
+def _chosen(trials: Mapping[int, Trial]) -> int:
+    """Of the orders that the samples kept back cannot tell from the best, the one with the best criterion.
+
+    They cannot if the mean loss is within one standard error. Akaike's criterion uses the samples fitted, which
+    are more; what is kept back guards it against a record that is not what the model supposes.
+    """
+    best = max(trials, key=lambda n: trials[n].kept.mean())
 
     def close(n: int) -> bool:
-        lost = scores[best] - scores[n]
+        lost = trials[best].kept - trials[n].kept
         length = max(LEAST_BLOCK, min(BLOCK, len(lost) // 8))
         blocks = lost[: len(lost) // length * length].reshape(-1, length).mean(axis=1)
         error = float(blocks.std() / np.sqrt(len(blocks))) if len(blocks) > 1 else 0.0
-        return bool(lost.mean() <= max(error, negligible) + 1e-12)
+        return bool(lost.mean() <= error + 1e-12)
 
-    return min(n for n in scores if close(n))
+    return max((n for n in trials if close(n)), key=lambda n: trials[n].criterion + trials[n].kept.sum())
