@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from securestate import DesignError, InputError, Plant, Sensor, ShapeError
 from securestate.identification import Grade, History, Verdict, identify, judge
 from securestate.identification.forms import Independent
-from tests.reference.kalman import textbook_filter
 from tests.identification.identification_cases import (
     KNOWN,
     LEVEL,
@@ -20,6 +19,7 @@ from tests.identification.identification_cases import (
     record,
     with_gaps,
 )
+from tests.reference.kalman import textbook_filter
 
 Array = NDArray[np.float64]
 NAN = float("nan")
