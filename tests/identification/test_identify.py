@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 from numpy.typing import NDArray
 from scipy import linalg
@@ -171,6 +172,19 @@ def test_rounded_readings_have_the_noise_of_their_rounding() -> None:
     rounded = identify(y, order=2).plant
     assert noise_of(rounded)[0] >= 0.99 * np.sqrt(1 / 12)
     assert noise_of(rounded)[0] == pytest.approx(np.sqrt(1 / 12), rel=0.35)
+
+
+def test_tables_give_the_names_and_a_held_out_table_may_have_its_columns_in_another_order() -> None:
+    (y, u), (fresh, v) = (engineering(record(KNOWN, N, N)) for N in (400, 300))
+    names = ["flow", "level", "heat", "load"]
+    held_out = pd.DataFrame(fresh, columns=names)[["load", "heat", "level", "flow"]]
+    table, valve = pd.DataFrame(y, columns=names), pd.DataFrame(u, columns=["valve"])
+    one = identify(table, valve, order=2, dt=60.0, held_out=held_out, held_out_u=v, name="tank")
+    assert (one.plant.channel_names, one.plant.input_names) == (tuple(names), ("valve",))
+    assert (one.plant.dt, one.plant.name) == (60.0, "tank")
+    plain = identify(y, u, order=2, held_out=fresh, held_out_u=v)
+    assert_same_bits(one.plant, plain.plant)
+    assert one.verdict.residuals.size == plain.verdict.residuals.size
 
 
 def test_channels_are_grouped_into_the_sensors_asked_for() -> None:
