@@ -57,8 +57,8 @@ def test_samples_and_segments_that_are_wholly_missing_are_estimated_like_others(
 def stationary_start(model: Independent, y: Array, u: Array) -> Array:
     """The predicted state that a segment most likely starts from, by all of its readings.
 
-    x[0] = what is predicted + error; the error has the filter's covariance P, what is predicted the rest of the long
-    run's X.
+    x[0] = what is predicted + error; the error has the filter's covariance P, what is predicted the rest of
+    the long run's X.
     """
     P = stationary(model).P
     X = spread(model.A, model.Q + model.B @ model.B.T)
@@ -120,8 +120,8 @@ def test_on_long_segments_both_e_steps_agree() -> None:
     assert errors[1] < 0.3 * errors[0] < 0.01
 
 
-def test_the_likelihood_of_many_channels_is_computed_by_the_smaller_matrix_without_a_difference() -> None:
-    """From m = 2 n on another formula is used; both sides of the border are compared with the textbook above."""
+def test_the_likelihood_of_many_channels_is_that_of_few_with_another_formula() -> None:
+    """From m = 2 n on; a channel that sees nothing adds the density of its noise, whatever the formula."""
     model = random_model(8, n=2, m=4)
     fewer = Independent(model.A, model.B, model.C[:3], model.D[:3], model.Q, model.r[:3])
     blind = Independent(

@@ -37,6 +37,15 @@ def test_a_history_is_taken_as_it_is() -> None:
     assert History.of(history) is history
 
 
+@pytest.mark.parametrize(
+    "beside",
+    [{"u": U}, {"dt": 2.0}, {"channel_names": ["a", "b"]}, {"units": ["m", "m"]}, {"input_names": []}],
+)
+def test_what_is_given_beside_a_history_is_refused_and_not_dropped(beside: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=f"{next(iter(beside))}: expected nothing beside a History"):
+        History.of(History.of(Y), **beside)
+
+
 def test_what_is_selected_comes_in_the_order_asked_for() -> None:
     history = History.of([Y, Y[:3]], [U, U[:3]], channel_names=["a", "b"], units=["m", "K"], dt=1.0)
     chosen = history.select(["b", "a"], [])

@@ -68,7 +68,7 @@ def test_the_gradient_equals_central_differences(
 
 
 def test_without_gaps_the_gradient_misses_no_more_than_what_the_ends_of_segments_have() -> None:
-    """The stationary filter leaves out how the start and the ends depend on the parameters: a share of 1 / N."""
+    """The stationary filter leaves out how start and ends depend on the parameters: a share of 1 / N."""
     model = random_model(1, n=2, m=3, q=1, radius=0.8)
     errors = []
     for N in (200, 2000):

@@ -108,7 +108,7 @@ def test_a_sensor_with_a_channel_that_was_hardly_read_has_no_number(hardly_read:
 
 @pytest.mark.parametrize("share", [0.3, 0.5, 0.8])
 def test_explained_least_is_below_the_truth_in_ninety_percent_of_records(share: float) -> None:
-    """Records whose samples depend on each other; 95 % is wanted, and 90 % of 300 is 3.9 standard errors less."""
+    """Samples depend on each other; 95 % is wanted, and 90 % of 300 is 3.9 standard errors less."""
     rng, a = np.random.default_rng(10), 0.7
     sides = np.zeros(300, dtype=bool)
     for i in range(300):

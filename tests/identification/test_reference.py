@@ -114,8 +114,8 @@ def test_the_step_of_rounded_readings_is_the_reference() -> None:
 def test_a_random_plant_is_learned_as_well_as_the_reference_learned_it(case: dict[str, Any]) -> None:
     """On another sample of 5,000 learned and 5,000 judged, so that the bounds leave room for chance.
 
-    The reference had sizes of .996 to 1.022, likelihoods .0007 to .0091 below the truth's, eigenvalues off by up to
-    .018 (.038 on the sample of order 3 here), and losses of up to .09 points.
+    The reference had sizes of .996 to 1.022, likelihoods .0007 to .0091 below the truth's, eigenvalues off by
+    up to .018 (.038 on the sample of order 3 here), and losses of up to .09 points.
     """
     truth = truth_of(case)
     y, u = record(truth, 10_000, case["seed"])

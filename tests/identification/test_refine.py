@@ -126,7 +126,7 @@ def test_no_start_ends_worse_on_the_samples_kept_back() -> None:
     improved = []
     for seed in range(30):
         given, (y, u) = random_start(seed), record(KNOWN, 80, seed)
-        found = refine(given, y, u, free=["A", "C", "Q", "R"], steps=20)
+        found = refine(given, y, u, free=["A", "C", "Q", "R"], steps=8)
         before, after = (likelihood_from_start(plant, y[60:], u[60:]) for plant in (given, found.plant))
         improved.append(found.improved)
         assert found.improved == (found.after > found.before)

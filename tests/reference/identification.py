@@ -1,4 +1,4 @@
-"""Identification as in a textbook: every state and every reading of a short record in one joint Gaussian. Slow."""
+"""Identification as in a textbook: all states and readings of a short record in one joint Gaussian. Slow."""
 
 from dataclasses import dataclass
 
@@ -118,9 +118,9 @@ def one_reading(prior: Gaussian, y: Array, channel: int, k: int) -> float:
 def innovations_gaussian(
     A: Array, C: Array, K: Array, S: Array, drive: Array, through: Array, start: Array
 ) -> Gaussian:
-    """The same for x[k+1] = A x[k] + g[k] + K e[k], y[k] = C x[k] + d[k] + e[k], e ~ N(0, S): only y is filled in.
+    """The same for x[k+1] = A x[k] + g[k] + K e[k], y[k] = C x[k] + d[k] + e[k], e ~ N(0, S).
 
-    x[0] ~ N(0, start). Every y is written as a linear map of x[0] and all e.
+    Only y is filled in. x[0] ~ N(0, start). Every y is written as a linear map of x[0] and all e.
     """
     N, n, m = len(drive), len(A), len(C)
     maps, mean, x_map, x_mean = [], [], np.hstack([np.eye(n), np.zeros((n, N * m))]), np.zeros(n)

@@ -48,7 +48,7 @@ class History:
 
         Args:
             y: measurements (N, m): an array, or a table with column names such as a DataFrame; or a list of
-                these, one per segment. NaN is missing, infinite numbers are an error. Or a `History`.
+                these, one per segment. NaN is missing, infinite numbers are an error. Or a `History`, alone.
             u: inputs of the same samples, (N, q), in the same way; None: no inputs. A sample without all its
                 inputs ends a segment.
             dt: seconds between samples; None: not known.
@@ -57,8 +57,15 @@ class History:
         Raises:
             ShapeError: arrays that do not fit each other.
             MeasurementError: an infinite number, or no sample.
+            InputError: something beside a `History`, which has its own.
         """
         if isinstance(y, History):
+            beside = {"u": u, "dt": dt, "channel_names": channel_names, "units": units}
+            for argument, value in {**beside, "input_names": input_names}.items():
+                if value is not None:
+                    raise InputError(
+                        argument, "nothing beside a History, which has its own", type(value).__name__
+                    )
             return y
         ys = _listed("y", y)
         channels = _names("channel_names", channel_names, ys, "y")

@@ -77,8 +77,8 @@ CONFIDENCE = 1.645
 def explained(remains: Sequence[Array], readings: Sequence[Array]) -> tuple[float, float]:
     """Share of a sensor's variation that the others explain, and what it is at least with 95 % confidence.
 
-    Of several channels the one with the least counts; NaN if one was hardly read. The error of the ratio comes
-    from blocks of samples.
+    Of several channels the one with the least counts; NaN if one was hardly read. The error of the ratio
+    comes from blocks of samples.
 
     Args:
         remains, readings: (N, c) per segment, in the same units, NaN where nothing was read.
