@@ -3,7 +3,7 @@
 Orders are shortlisted by the innovations forms, which cost nothing more than the subspace. Independent noises
 often need more states for the same law, so from there on models with independent noises are fitted, for
 larger and larger orders as long as that helps. Among orders that the samples kept back cannot tell from the
-best, Akaike's criterion on the samples fitted decides.
+best, an information criterion on the samples fitted decides.
 
 References:
     akaike1974.
@@ -36,6 +36,10 @@ Array = NDArray[np.float64]
 
 #: Samples per block whose means are compared: within a block they depend on each other; of few samples fewer.
 BLOCK, LEAST_BLOCK = 25, 5
+
+#: What a parameter costs, in nats: 1 is Akaike's criterion, log(N) / 2 Schwarz's. Of plants that are not
+#: exactly linear Akaike's takes too many, and parameters too many raise false alarms.
+PRICE = 2.0
 
 #: Nats per sample and channel that independent noises may lose before that matters.
 COSTLY = 0.01
@@ -75,7 +79,7 @@ class Trial:
     Attributes:
         model: fitted to samples that are not kept back.
         kept: log-likelihood of every sample kept back, nats.
-        criterion: that of the samples fitted, less the number of parameters (Akaike 1974), nats.
+        criterion: that of the samples fitted, less the price of its parameters, nats.
     """
 
     model: Independent | Innovations
@@ -178,15 +182,15 @@ def _trial(subspace: Subspace, n: int, fitted: Record, kept_back: Record, floor:
     kept, model = max(((score(each, kept_back), each) for each in models), key=lambda pair: pair[0].mean())
     (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
     parameters = n * (m + q) + n * (n + 1) // 2 + m + through
-    return Trial(model, kept, float(score(model, fitted).sum()) - parameters)
+    return Trial(model, kept, float(score(model, fitted).sum()) - PRICE * parameters)
 
 
 def _weighed(subspace: Subspace, n: int, kept: Array, fitted: Record) -> Trial:
-    """The innovations form of order n, with what Akaike's criterion says of it."""
+    """The innovations form of order n, with what the criterion says of it."""
     model = subspace.model(n)
     (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
     parameters = n * (2 * m + q) + m * (m + 1) // 2 + through
-    return Trial(model, kept, float(score(model, fitted).sum()) - parameters)
+    return Trial(model, kept, float(score(model, fitted).sum()) - PRICE * parameters)
 
 
 def _climb(trials: Mapping[int, Trial], fit: Callable[[int], None], enough: float, reach: int) -> None:
@@ -210,7 +214,7 @@ def _climb(trials: Mapping[int, Trial], fit: Callable[[int], None], enough: floa
 def _chosen(trials: Mapping[int, Trial]) -> int:
     """Of the orders that the samples kept back cannot tell from the best, the one with the best criterion.
 
-    They cannot if the mean loss is within one standard error. Akaike's criterion uses the samples fitted, which
+    They cannot if the mean loss is within one standard error. The criterion uses the samples fitted, which
     are more; what is kept back guards it against a record that is not what the model supposes.
     """
     best = max(trials, key=lambda n: trials[n].kept.mean())
