@@ -63,7 +63,9 @@ def remarks(found: Resilience) -> Iterator[str]:
             "sensors; the limit is for telling the state from a lie while it lasts."
         )
     elif found.all_modes is not limit and found.all_modes.max_attacked != limit.max_attacked:
-        yield f"With the modes that fade counted as well: {found.all_modes.max_attacked}."
+        every = found.all_modes.max_attacked
+        said = str(every) if every >= 0 else "none, because no sensor sees some of them"
+        yield f"With the modes that fade counted as well: {said}."
     if limit.weakest is not None and limit.upper > 0:
         yield weakest(limit.weakest)
     if found.robust_to and limit.modes and not limit.unlimited:

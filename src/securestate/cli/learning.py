@@ -84,11 +84,13 @@ def _read(order: Lesson, tags: Tags | None) -> tuple[History, History | None]:
     A list of channels says which columns are channels, if no option does.
     """
     groups = [order.history, order.held_out] if order.held_out else [order.history]
+    others = {*order.inputs, *order.ignore}
+    listed = None if tags is None else [channel for channel in tags.channels if channel not in others]
     histories = read_histories(
         groups,
         inputs=order.inputs,
         ignore=order.ignore,
-        channels=order.channels or (None if tags is None else tags.channels),
+        channels=order.channels or listed,
         segment_column=order.segment_column,
         time_column=order.time_column,
         dt=order.dt,

@@ -17,8 +17,17 @@ from securestate.estimators.kalman import KalmanFilter
 from securestate.identification.forms import Innovations, Segment
 from securestate.identification.history import History, numbered
 from securestate.identification.redundancy import explained, left_out
-from securestate.identification.residuals import WARM_UP, Residuals, residuals
-from securestate.identification.verdict import Criterion, Grade, Problem, criteria, overall, problems
+from securestate.identification.rehearsal import suspected_shares
+from securestate.identification.residuals import WARM_UP, Residuals, anywhere, residuals
+from securestate.identification.verdict import (
+    Criterion,
+    Grade,
+    Problem,
+    criteria,
+    overall,
+    problems,
+    rehearsed,
+)
 from securestate.plant import Plant
 
 Array = NDArray[np.float64]
@@ -203,6 +212,9 @@ def judged(
         found = residuals(plant, record)
         if found.samples:
             looked_at = tuple(criteria(found, plant.channel_names, parameters))
+            if overall(problems(looked_at)) is not Grade.INADEQUATE:
+                shares = suspected_shares(plant, record)
+                looked_at += () if shares is None else (rehearsed(shares, plant.sensor_names),)
             wrong = problems(looked_at)
         else:
             looked_at = ()
@@ -282,7 +294,7 @@ def _left_out_with_gaps(
         seen += here
         others = y[:here].copy()
         others[:, rows] = np.nan
-        run = estimator.run(others, u[:here] if plant.n_inputs else None, covariance=False)
+        run = estimator.run(others, u[:here] if plant.n_inputs else None, anywhere(plant), covariance=False)
         predicted = run.x @ plant.C[rows].T + plant.normalise_input(u[:here]) @ plant.D[rows].T
         scaled = plant.normalise(y[:here])[:, rows]
         remains.append(scaled - predicted)
@@ -331,7 +343,9 @@ def _runs(
     """Standardised innovations, nis and channels of every segment while some sensors are not heard."""
     plant = estimator.plant
     for y, u in record:
-        run = estimator.run(_without(plant, y, out), u if plant.n_inputs else None, covariance=False)
+        run = estimator.run(
+            _without(plant, y, out), u if plant.n_inputs else None, anywhere(plant), covariance=False
+        )
         skip = min(WARM_UP, len(y) // 4)
         z = (run.innovation / run.innovation_std)[skip:]
         yield z, run.diagnostics["nis"][skip:], run.diagnostics["channels"][skip:]

@@ -31,6 +31,12 @@ STRETCH = 10
 #: Two channels repeat each other if their difference is less than this share of their standard deviation.
 REPEATS = 1e-3
 
+#: Or less than this times the rounding of both.
+ROUNDED = 1.5
+
+#: A value that stays this many times as long as chance would have it has got stuck; samples at least.
+STUCK, STUCK_LEAST = 4.0, 30
+
 #: Least variance of a sensor's noise, as a share of the channel's variance.
 LEAST_NOISE = 1e-6
 
@@ -105,9 +111,9 @@ def prepare(history: History) -> Prepared:
         raise MeasurementError("y", "channels that vary", "constant channels only")
     moves = np.std(u, axis=0) > CONSTANT * np.maximum(1.0, np.abs(np.mean(u, axis=0)))
     z = (y - offset) / np.where(varies, scale, 1.0)
-    groups = _groups(z, np.flatnonzero(varies))
     steps = np.array([rounding(column) for column in y.T])
     own = np.maximum(LEAST_NOISE, (steps / np.where(varies, scale, 1.0)) ** 2 / 12)
+    groups = _groups(z, np.flatnonzero(varies), own)
     found = Prepared(
         groups=groups,
         offset=offset,
@@ -118,19 +124,24 @@ def prepare(history: History) -> Prepared:
         input_scale=np.std(u, axis=0)[moves],
         floor=np.array([np.mean(own[list(group.channels)]) for group in groups]),
         segments=(),
-        remarks=tuple(_remarks(history, read, varies, moves, groups)),
+        remarks=(*_remarks(history, read, varies, moves, groups), *_stuck(history, varies)),
     )
     return Prepared(**{**vars(found), "segments": found.normalise(history)})
 
 
-def _groups(z: Array, kept: Indices) -> tuple[Group, ...]:
-    """Channels that repeat each other, together; each group in the order of the history."""
+def _groups(z: Array, kept: Indices, own: Array) -> tuple[Group, ...]:
+    """Channels that repeat each other, together; each group in the order of the history.
+
+    Args:
+        own: variances of the rounding of every channel, by which copies may differ.
+    """
     groups: list[Group] = []
     alike = _alike(z)
     for i in kept:
         for g, group in enumerate(groups):
             first = group.channels[0]
-            sign = _repeats(z[:, first], z[:, i]) if alike[first, i] else 0.0
+            apart = max(REPEATS, ROUNDED * float(np.sqrt(own[first] + own[i])))
+            sign = _repeats(z[:, first], z[:, i], apart) if alike[first, i] else 0.0
             if sign:
                 groups[g] = Group((*group.channels, int(i)), (*group.signs, sign))
                 break
@@ -147,13 +158,13 @@ def _alike(z: Array) -> NDArray[np.bool_]:
     return np.asarray(np.abs(products) > 0.99 * np.sqrt(squares * squares.T))
 
 
-def _repeats(first: Array, second: Array) -> float:
+def _repeats(first: Array, second: Array, apart: float) -> float:
     """+1 or -1 if the second channel repeats the first, or repeats it mirrored; 0 otherwise."""
     both = np.isfinite(first) & np.isfinite(second)
     if np.count_nonzero(both) < STRETCH:
         return 0.0
     sign = 1.0 if np.dot(first[both], second[both]) >= 0 else -1.0
-    return sign if np.std(first[both] - sign * second[both]) < REPEATS else 0.0
+    return sign if np.std(first[both] - sign * second[both]) < apart else 0.0
 
 
 def rounding(x: Array) -> float:
@@ -255,3 +266,24 @@ def split(segments: Sequence[Segment], share: float) -> tuple[list[Segment], lis
         if len(y) - here >= STRETCH:
             after.append((y[here:], u[here:]))
     return before, after
+
+
+def _stuck(history: History, varies: NDArray[np.bool_]) -> list[str]:
+    """Channels that keep a value for much longer than they usually do."""
+    said = []
+    for i in np.flatnonzero(varies):
+        longest, changes, steps = 0, 0, 0
+        for y, _ in history.segments:
+            x = y[np.isfinite(y[:, i]), i]
+            same = np.diff(x) == 0
+            edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
+            longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
+            changes, steps = changes + int(np.sum(~same)), steps + len(same)
+        # Were changes independent, the longest run among `steps` would be about log(steps) / -log(1 - share).
+        share = min(max(changes / max(steps, 1), 1e-9), 1 - 1e-9)
+        usual = np.log(max(steps, 2)) / -np.log1p(-share)
+        if longest > max(STUCK_LEAST, STUCK * usual):
+            said.append(
+                f"{history.channel_names[i]} keeps one value for {longest + 1:,} samples: was it stuck?"
+            )
+    return said

@@ -70,6 +70,9 @@ def _by_inputs(model: Innovations, sensor: Indices, record: Record) -> list[Arra
 #: Samples per block: within one, errors depend on each other.
 BLOCK = 25
 
+#: A variance, as a share of that of the history, below which a channel did not move.
+STILL = 1e-9
+
 #: One-sided 95 %.
 CONFIDENCE = 1.645
 
@@ -77,8 +80,8 @@ CONFIDENCE = 1.645
 def explained(remains: Sequence[Array], readings: Sequence[Array]) -> tuple[float, float]:
     """Share of a sensor's variation that the others explain, and what it is at least with 95 % confidence.
 
-    Of several channels the one with the least counts; NaN if one was hardly read. The error of the ratio
-    comes from blocks of samples.
+    Of several channels the one with the least counts; NaN if one was hardly read or did not move. The error
+    of the ratio comes from blocks of samples.
 
     Args:
         remains, readings: (N, c) per segment, in the same units, NaN where nothing was read.
@@ -97,7 +100,9 @@ def _explained(left: Array, said: Array) -> tuple[float, float]:
     if len(left) < 2 * BLOCK:
         return float("nan"), float("nan")
     squares, variation = left**2, (said - said.mean()) ** 2
-    whole = max(float(variation.mean()), 1e-300)
+    whole = float(variation.mean())
+    if whole < STILL:
+        return float("nan"), float("nan")
     ratio = float(squares.mean()) / whole
     # Linearised: the error of a ratio of means is that of the mean of (squares - ratio * variation) / whole.
     spread = (squares - ratio * variation) / whole

@@ -102,7 +102,7 @@ def residuals(plant: Plant, record: Sequence[Segment]) -> Residuals:
         record: y (N, m), u (N, p) per segment, m and p as the plant has them.
     """
     estimator = KalmanFilter(plant)
-    prior = Belief(np.zeros(plant.n), _start(plant))
+    prior = anywhere(plant)
     parts: list[Array] = []
     nis: list[Array] = []
     channels: list[Array] = []
@@ -117,9 +117,10 @@ def residuals(plant: Plant, record: Sequence[Segment]) -> Residuals:
     )
 
 
-def _start(plant: Plant) -> Array:
+def anywhere(plant: Plant) -> Belief:
+    """What is known of a state before the first sample of a segment: where it is in the long run."""
     X = spread(plant.A, plant.Q + plant.B @ plant.B.T)
-    return np.asarray(X + 1e-9 * np.trace(X) / plant.n * np.eye(plant.n))
+    return Belief(np.zeros(plant.n), X + 1e-9 * np.trace(X) / plant.n * np.eye(plant.n))
 
 
 def _summed(

@@ -42,6 +42,9 @@ class Limits:
 #: Prediction errors over what the model says, as a variance: too large, and (inverse) too small.
 TOO_LARGE, TOO_SMALL = Limits(1.15, 1.5), Limits(1 / 0.9, 1 / 0.7)
 
+#: The same of one channel, or its inverse; readings that it must have.
+ONE_CHANNEL, LEAST_READ = Limits(2.0, np.inf), 50
+
 #: Share of samples above the 5 % limit.
 EXCEED = Limits(0.08, 0.20)
 
@@ -59,6 +62,9 @@ SURE, SURE_SHARE = 4.0, 3.0
 
 #: The worst block over the median block.
 COLLAPSE = Limits(np.inf, 4.0)
+
+#: Share of samples in which the estimator suspects an honest sensor.
+SUSPECTED = Limits(0.03, 0.25)
 
 #: Growth of errors on new data because parameters were fitted, 2 k / (N m).
 TOO_FEW = Limits(0.06, 0.25)
@@ -119,6 +125,7 @@ def criteria(found: Residuals, names: Sequence[str], parameters: float | None) -
         parameters: expected growth of errors because of the number of parameters; None if not known.
     """
     yield _size(found)
+    yield _worst_size(found, names)
     yield _exceed(found)
     yield from _whiteness(found, names)
     yield from _shift(found, names)
@@ -155,6 +162,23 @@ def _size(found: Residuals) -> Criterion:
         1 / max(found.size, 1e-300) if small else found.size,
         TOO_SMALL if small else TOO_LARGE,
         f"Prediction errors have {found.size:,.3g} times the variance that the model says.",
+        ideal=1.0,
+    )
+
+
+def _worst_size(found: Residuals, names: Sequence[str]) -> Criterion:
+    """The channel whose errors fit the model worst, too large or too small."""
+    variance = np.where(found.counted >= LEAST_READ, np.nan_to_num(found.variance, nan=1.0), 1.0)
+    chance = SURE * np.sqrt(2 / np.maximum(found.counted, 1))
+    off = np.where(np.abs(variance - 1) > chance, np.maximum(variance, 1 / np.maximum(variance, 1e-300)), 1.0)
+    i = int(np.argmax(off))
+    return Criterion(
+        "The same, worst channel",
+        float(variance[i]),
+        names[i] if off[i] > 1 else "",
+        float(off[i]),
+        ONE_CHANNEL,
+        f"Errors of {names[i]} have {variance[i]:,.3g} times the variance that the model says.",
         ideal=1.0,
     )
 
@@ -246,6 +270,21 @@ def _worst(values: Array, names: Sequence[str]) -> str:
     """The largest three that are at least half of the largest, with their values."""
     order = np.argsort(values)[::-1][:3]
     return enumerate_names([f"{names[i]} {values[i]:.2f}" for i in order if values[i] >= values.max() / 2])
+
+
+def rehearsed(shares: Array, names: Sequence[str]) -> Criterion:
+    """How often sparse fusion suspects sensors of a record in which nobody lied; the worst sensor."""
+    i = int(np.argmax(shares))
+    return Criterion(
+        "Samples in which sparse fusion suspects an honest sensor",
+        float(shares[i]),
+        names[i] if shares[i] > 0 else "",
+        float(shares[i]),
+        SUSPECTED,
+        f"Sparse fusion suspects {names[i]} in {100 * shares[i]:.0f} % of the samples. If nobody lied, the model is "
+        "not good enough for it: see whether innovation-mixture does better.",
+        unit="%",
+    )
 
 
 def problems(found: Sequence[Criterion]) -> list[Problem]:

@@ -84,12 +84,10 @@ def portion(share: float) -> str:
 
     Examples:
         >>> [portion(s) for s in (0.523, 0.998, 0.9999, 1.0, -0.05, -0.001, float("nan"))]
-        ['52 %', '99.8 %', '>99.9 %', '100 %', '−5 %', '0 %', '–']
+        ['52 %', '99.8 %', '>99.9 %', '100 %', '0 %', '0 %', '–']
     """
     if math.isnan(share):
         return "–"
-    if share < -0.005:
-        return f"−{-100 * share:.0f} %"
     if 0.99 < share < 1:
         return ">99.9 %" if share > 0.999 else f"{100 * share:.1f} %"
     return f"{100 * max(share, 0.0):.0f} %"

@@ -121,7 +121,8 @@ class Summary:
         if outvoted and 2 * len(liars) >= len(self.sensors) > 1:
             return (
                 f"{len(liars)} of {len(self.sensors)} sensors contradict the plant, too many to blame them: "
-                "check its matrices, units and inputs, and whether the state starts at the operating point."
+                "check its matrices, units and inputs (`judge` says whether it still fits), and whether the "
+                "state starts at the operating point (else start with a window)."
             )
         if liars:
             share = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
