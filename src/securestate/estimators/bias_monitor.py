@@ -27,11 +27,12 @@ Deviations from the paper:
 
 from __future__ import annotations
 
+import warnings
 from typing import final
 
 from securestate import _checks as check
 from securestate._steady_state import SteadyState, steady_state
-from securestate.errors import DesignError, InputError
+from securestate.errors import DesignError, InputError, SecurestateWarning
 from securestate.estimators import _bias_design as design
 from securestate.estimators.base import Estimator
 from securestate.estimators.kalman import require_plant
@@ -119,6 +120,12 @@ class BiasMonitor(Estimator):
             raise DesignError(
                 "the plant has a single sensor, and nobody can vouch for it",
                 "add a sensor, or use KalmanFilter and trust the one there is",
+            )
+        if plant.uncheckable.all():
+            warnings.warn(
+                "no sensor is verifiable or protected, so that nobody can be named",
+                SecurestateWarning,
+                stacklevel=2,
             )
         self.steady = steady_state(plant)
         leads = design.ideal(plant, self.steady, design.simulated_samples(plant, length))

@@ -43,9 +43,7 @@ def grouped(
             owner[channel] = sensor
     joined = dict(owner)
     for group in prepared.groups:  # what repeats each other is one sensor, with all that belongs to it
-        members = sorted(
-            {joined[names[i]] for i in group.channels}, key=lambda s: [owner[n] for n in names].index(s)
-        )
+        members = list(dict.fromkeys(joined[names[i]] for i in group.channels))
         if len(members) > 1:
             whole = " + ".join(members)
             joined = {channel: whole if sensor in members else sensor for channel, sensor in joined.items()}

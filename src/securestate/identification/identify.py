@@ -170,9 +170,16 @@ def identify(
         raise InputError("largest_eigenvalue", "a number in (0, 1)", str(largest_eigenvalue))
     if check.yes_or_no("feedthrough", feedthrough, InputError) and not history.input_names:
         raise InputError("feedthrough", "inputs, or False", "True without inputs")
+    if held_out is None and held_out_u is not None:
+        raise InputError("held_out_u", "None without held_out", "inputs")
     with one_blas_thread():
         task = _Task(history, other, feedthrough, largest_eigenvalue, progress or (lambda *_: None))
-        return task.run(wanted, sensors, name)
+        try:
+            return task.run(wanted, sensors, name)
+        except np.linalg.LinAlgError as reason:
+            raise MeasurementError(
+                "y", "readings with noise, from which a model can be computed", f"others ({reason})"
+            ) from None
 
 
 def _other(history: History, y: object, u: object) -> History:
@@ -227,6 +234,8 @@ class _Task:
         remarks += self._leaks(subspace, found, plant)
         self.tell("judging", 0, 1)
         verdict = self._judge(fit.model if self.other else checked, found, subspace, plant, channels, name)
+        verdict, alone = self._without_inputs(verdict, plant)
+        remarks += alone
         factor = self._noise_factor(verdict)
         if factor > 1:
             remarks.append(
@@ -255,16 +264,17 @@ class _Task:
         """
         m, width = len(self.prepared.groups), len(self.prepared.groups) + len(self.prepared.inputs)
         lengths = np.array([len(y) for y, _ in self.fitted])
-        total = int(lengths.sum())
-        longest = int(np.clip(total // (4 * width), 1, max(4, min(30, 600 // width))))
-        while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
-            longest -= 1
+        total, longest = int(lengths.sum()), self._longest(width)
         largest = max(2, min(LARGEST, total // 20)) if order is None else order
         best = max(2, past_length(self.fitted, longest, self.feedthrough))
         most = max(2, min(total // (3 * width), MOST_REGRESSORS // width))
         while most > 2 and np.maximum(lengths - most, 0).sum() < 0.8 * total:
             most -= 1
         least = int(np.ceil(1.5 * largest / m))
+        if order is not None and order > most * m // 2:
+            raise InputError(
+                "order", f"at most {max(1, most * m // 2)} for a history of this length", str(order)
+            )
         return sorted({min(max(factor * best, least), most) for factor in LONGER}), largest
 
     def _checked(self, trial: Independent) -> tuple[Independent, int]:
@@ -374,6 +384,50 @@ class _Task:
         if verdict.grade is Grade.INADEQUATE or excess < 2 * np.sqrt(2 / readings):
             return 1.0
         return float(1 + excess * (1.0 if self.other else 1 - KEPT_BACK))
+
+    def _without_inputs(self, verdict: Verdict, plant: Plant) -> tuple[Verdict, list[str]]:
+        """Count a sensor as verifiable only if the others vouch for it without the inputs; warns of those
+        that lose it.
+
+        A controller's output repeats what a sensor said, and where the plant is slow that tells the next
+        reading, feedthrough or not. With feedthrough the user has said that no controller is at work.
+        """
+        claimed = [sensor.name for sensor in verdict.sensors if sensor.verifiable]
+        if not plant.n_inputs or self.feedthrough or not claimed:
+            return verdict, []
+        fitted, kept = ([(y, u[:, :0]) for y, u in record] for record in (self.fitted, self.kept))
+        m = len(self.prepared.groups)
+        past = max(2, min(2 * past_length(fitted, self._longest(m), False), MOST_REGRESSORS // m))
+        subspace = Subspace(fitted, past, False, self.edge)
+        orders = range(1, min(LARGEST, subspace.largest_order) + 1)
+        form = max((subspace.model(n) for n in orders), key=lambda model: float(score(model, kept).mean()))
+        lost = []
+        for sensor in plant.sensors:
+            rows = np.unique([self._group_of(self.history.channel_names.index(c)) for c in sensor.channels])
+            if sensor.name in claimed:
+                _, least = explained(left_out(form, rows, kept), [y[:, rows] for y, _ in kept])
+                lost += [] if least >= VERIFIABLE else [sensor.name]
+        if not lost:
+            return verdict, []
+        sensors = tuple(
+            replace(sensor, verifiable=sensor.verifiable and sensor.name not in lost)
+            for sensor in verdict.sensors
+        )
+        text = (
+            f"Without the inputs the other sensors do not vouch for {enumerate_names(lost)}: not counted as "
+            "verifiable, because a controller may have computed the inputs from these readings"
+        )
+        warnings.warn(text, SecurestateWarning, stacklevel=5)
+        return replace(verdict, sensors=sensors), [text + "."]
+
+    def _longest(self, width: int) -> int:
+        """The longest past that the regressions try, for so many columns."""
+        lengths = np.array([len(y) for y, _ in self.fitted])
+        total = int(lengths.sum())
+        longest = int(np.clip(total // (4 * width), 1, max(4, min(30, 600 // width))))
+        while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
+            longest -= 1
+        return longest
 
     def _leaks(self, subspace: Subspace, found: OrderSearch, plant: Plant) -> list[str]:
         """Sensors that only the inputs of the same sample vouch for; warns of them."""

@@ -121,7 +121,10 @@ class Verdict:
         if total == 1:
             yield f"There is no other sensor that could check {self.sensors[0].name}."
             return
-        if not named:
+        unknown = [sensor.name for sensor in self.sensors if np.isnan(sensor.explained)]
+        if len(unknown) == total:
+            yield "Too few readings to say which sensors the others can check."
+        elif not named:
             yield "No sensor can be checked: the others explain less than half of each one's variation."
         elif len(named) == total:
             yield "Every sensor can be checked: the others explain at least half of its variation."
@@ -212,10 +215,10 @@ def judged(
         found = residuals(plant, record)
         if found.samples:
             looked_at = tuple(criteria(found, plant.channel_names, parameters))
-            if overall(problems(looked_at)) is not Grade.INADEQUATE:
+            if overall(problems(looked_at, found.samples)) is not Grade.INADEQUATE:
                 shares = suspected_shares(plant, record)
                 looked_at += () if shares is None else (rehearsed(shares, plant.sensor_names),)
-            wrong = problems(looked_at)
+            wrong = problems(looked_at, found.samples)
         else:
             looked_at = ()
             wrong = [Problem(Grade.INADEQUATE, "There is no sample to judge the model by.")]
@@ -223,7 +226,9 @@ def judged(
         tried = min(BLAMED, plant.n_sensors - 1)
         if tried and found.size > RESTORED and overall(wrong) is Grade.INADEQUATE:
             blamed = _blame(plant, record, tried)
-            wrong.append(_reason(blamed, tried))
+            rival = _blame(plant, record, len(blamed), blamed) if blamed else ()
+            wrong.append(_reason(blamed, rival, tried, plant.n_sensors))
+            blamed = () if rival or 2 * len(blamed) >= plant.n_sensors else blamed
         wrong.sort(key=lambda problem: problem.grade is not Grade.INADEQUATE)
         sensors = tuple(_evidence(plant, record, found, None if blamed else law, blamed))
     return Verdict(overall(wrong), tuple(wrong), sensors, found, looked_at, blamed)
@@ -302,13 +307,20 @@ def _left_out_with_gaps(
     return remains, readings
 
 
-def _blame(plant: Plant, record: Sequence[Segment], most: int) -> tuple[str, ...]:
-    """The fewest sensors, at most `most`, found one after the other, without which the model fits."""
+def _blame(plant: Plant, record: Sequence[Segment], most: int, but: Sequence[str] = ()) -> tuple[str, ...]:
+    """The fewest sensors, at most `most`, found one after the other, without which the model fits.
+
+    `but`: sensors that are not tried.
+    """
+    kept = [plant.sensor_names.index(name) for name in but]
     estimator = KalmanFilter(plant)
     record = [(y[:GAP_SAMPLES], u[:GAP_SAMPLES]) for y, u in record]
     out: list[int] = []
     while len(out) < most:
-        sizes = {i: _size_without(estimator, [*out, i], record) for i in _worst(estimator, out, record)}
+        tried = [i for i in _worst(estimator, out, record) if i not in kept]
+        if not tried or len(out) + len(kept) + 1 >= plant.n_sensors:
+            return ()
+        sizes = {i: _size_without(estimator, [*out, i], record) for i in tried}
         out.append(min(sizes, key=lambda i: sizes[i]))
         if sizes[out[-1]] <= RESTORED:
             return tuple(plant.sensor_names[i] for i in sorted(out))
@@ -351,8 +363,19 @@ def _runs(
         yield z, run.diagnostics["nis"][skip:], run.diagnostics["channels"][skip:]
 
 
-def _reason(blamed: Sequence[str], tried: int) -> Problem:
-    if blamed:
+def _reason(blamed: Sequence[str], rival: Sequence[str], tried: int, sensors: int) -> Problem:
+    """What a bad fit is put down to: some sensors, the plant, or what the record leaves open."""
+    if rival:
+        text = (
+            f"The rest fits without {enumerate_names(blamed)}, and as well without {enumerate_names(rival)}: "
+            "the record cannot tell who is wrong."
+        )
+    elif blamed and 2 * len(blamed) >= sensors:
+        text = (
+            f"Without {enumerate_names(blamed)} the rest fits, but that is half of the sensors or more: the "
+            "record cannot tell who is wrong."
+        )
+    elif blamed:
         verb = "this sensor is" if len(blamed) == 1 else "these sensors are"
         text = f"Without {enumerate_names(blamed)} the rest fits: more likely {verb} wrong than the model."
     else:

@@ -137,7 +137,8 @@ def maximise(
         found, climbed = task.climb(steps, lambda k: tell(em + k, em + steps))
         if climbed and climbed[-1] > likelihoods[-1]:
             best = found
-            likelihoods += climbed
+            for value in climbed:  # its first steps may be below where EM ended
+                likelihoods += [value] if value > likelihoods[-1] else []
     return Fit(_placed(best, freedom), tuple(likelihoods))
 
 

@@ -37,6 +37,9 @@ ROUNDED = 1.5
 #: A value that stays this many times as long as chance would have it has got stuck; samples at least.
 STUCK, STUCK_LEAST = 4.0, 30
 
+#: An input whose part that others do not give is a smaller share of it than this says nothing new.
+DEPENDENT = 1e-6
+
 #: Least variance of a sensor's noise, as a share of the channel's variance.
 LEAST_NOISE = 1e-6
 
@@ -110,6 +113,7 @@ def prepare(history: History) -> Prepared:
     if not varies.any():
         raise MeasurementError("y", "channels that vary", "constant channels only")
     moves = np.std(u, axis=0) > CONSTANT * np.maximum(1.0, np.abs(np.mean(u, axis=0)))
+    moves &= ~_dependent(u, moves)
     z = (y - offset) / np.where(varies, scale, 1.0)
     steps = np.array([rounding(column) for column in y.T])
     own = np.maximum(LEAST_NOISE, (steps / np.where(varies, scale, 1.0)) ** 2 / 12)
@@ -127,6 +131,20 @@ def prepare(history: History) -> Prepared:
         remarks=(*_remarks(history, read, varies, moves, groups), *_stuck(history, varies)),
     )
     return Prepared(**{**vars(found), "segments": found.normalise(history)})
+
+
+def _dependent(u: Array, moves: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Inputs that are a linear function of those before them, (q,)."""
+    found = np.zeros(u.shape[1], dtype=np.bool_)
+    kept = np.zeros((len(u), 0))
+    for j in np.flatnonzero(moves):
+        z = (u[:, j] - u[:, j].mean()) / u[:, j].std()
+        left = z - kept @ (kept.T @ z)
+        size = float(np.linalg.norm(left)) / np.sqrt(len(u))
+        found[j] = size < DEPENDENT
+        if not found[j]:
+            kept = np.column_stack([kept, left / np.linalg.norm(left)])
+    return found
 
 
 def _groups(z: Array, kept: Indices, own: Array) -> tuple[Group, ...]:
@@ -214,7 +232,10 @@ def _remarks(
         )
     held = [name for name, alive in zip(history.input_names, moves, strict=True) if not alive]
     if held:
-        said.append(f"{count(len(held), 'input')} without any change left out: {enumerate_names(held)}.")
+        what = (
+            "without any change, or a function of others," if len(held) > 1 else "without a change of its own"
+        )
+        said.append(f"{count(len(held), 'input')} {what} left out: {enumerate_names(held)}.")
     for group in groups:
         if len(group.channels) > 1:
             repeated = enumerate_names([names[i] for i in group.channels])

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
+from scipy import linalg, special
 
 from securestate._steady_state import doubling
 from securestate.identification.forms import Innovations, Predictor, Record, Stack, symmetric
@@ -67,14 +67,14 @@ def _by_inputs(model: Innovations, sensor: Indices, record: Record) -> list[Arra
     return [part[:, sensor] for part in stack.parts(Predictor(silent)(stack)[0])]
 
 
-#: Samples per block: within one, errors depend on each other.
-BLOCK = 25
+#: Blocks at most, and samples per block at least: within one, errors depend on each other.
+BLOCKS, BLOCK = 12, 25
 
 #: A variance, as a share of that of the history, below which a channel did not move.
 STILL = 1e-9
 
-#: One-sided 95 %.
-CONFIDENCE = 1.645
+#: Of the lower bound, one-sided.
+CONFIDENCE = 0.95
 
 
 def explained(remains: Sequence[Array], readings: Sequence[Array]) -> tuple[float, float]:
@@ -106,6 +106,8 @@ def _explained(left: Array, said: Array) -> tuple[float, float]:
     ratio = float(squares.mean()) / whole
     # Linearised: the error of a ratio of means is that of the mean of (squares - ratio * variation) / whole.
     spread = (squares - ratio * variation) / whole
-    blocks = spread[: len(spread) // BLOCK * BLOCK].reshape(-1, BLOCK).mean(axis=1)
-    error = float(blocks.std(ddof=1)) / np.sqrt(len(blocks))
-    return 1 - ratio, 1 - ratio - CONFIDENCE * error
+    number = min(BLOCKS, len(spread) // BLOCK)
+    length = len(spread) // number
+    blocks = spread[: number * length].reshape(number, length).mean(axis=1)
+    error = float(blocks.std(ddof=1)) / np.sqrt(number)
+    return 1 - ratio, 1 - ratio - float(special.stdtrit(number - 1, CONFIDENCE)) * error

@@ -10,7 +10,7 @@ from typing import final
 import numpy as np
 from numpy.typing import NDArray
 
-from securestate._words import enumerate_names
+from securestate._words import count, enumerate_names
 from securestate.identification.residuals import LAGS, Residuals
 
 Array = NDArray[np.float64]
@@ -65,6 +65,9 @@ COLLAPSE = Limits(np.inf, 4.0)
 
 #: Share of samples in which the estimator suspects an honest sensor.
 SUSPECTED = Limits(0.03, 0.25)
+
+#: Fewer samples than this cannot say that a model is good, or anything.
+FEW, TOO_SHORT = 50, 10
 
 #: Growth of errors on new data because parameters were fitted, 2 k / (N m).
 TOO_FEW = Limits(0.06, 0.25)
@@ -155,11 +158,13 @@ def criteria(found: Residuals, names: Sequence[str], parameters: float | None) -
 
 def _size(found: Residuals) -> Criterion:
     small = found.size < 1
+    chance = SURE_SHARE * np.sqrt(2 / max(int(found.channels.sum()), 1))
+    off = 1 / max(found.size, 1e-300) if small else found.size
     return Criterion(
         "Errors over what the model says, as a variance",
         found.size,
         "",
-        1 / max(found.size, 1e-300) if small else found.size,
+        off if abs(found.size - 1) > chance else 1.0,
         TOO_SMALL if small else TOO_LARGE,
         f"Prediction errors have {found.size:,.3g} times the variance that the model says.",
         ideal=1.0,
@@ -281,15 +286,21 @@ def rehearsed(shares: Array, names: Sequence[str]) -> Criterion:
         names[i] if shares[i] > 0 else "",
         float(shares[i]),
         SUSPECTED,
-        f"Sparse fusion suspects {names[i]} in {100 * shares[i]:.0f} % of the samples. If nobody lied, the model is "
-        "not good enough for it: see whether innovation-mixture does better.",
+        f"Sparse fusion suspects {names[i]} in {100 * shares[i]:.0f} % of the samples. If nobody lied, the "
+        "model is not good enough for it: see whether innovation-mixture does better.",
         unit="%",
     )
 
 
-def problems(found: Sequence[Criterion]) -> list[Problem]:
-    """What is wrong, one sentence each; what another sentence says already is left out."""
-    said = [Problem(one.grade, one.text) for one in found if one.grade is not Grade.GOOD]
+def problems(found: Sequence[Criterion], samples: int) -> list[Problem]:
+    """What is wrong, one sentence each; what another sentence says already is left out.
+
+    Args:
+        samples: that judge.
+    """
+    few = f"Only {count(samples, 'sample')} to judge the model by: much may still be chance."
+    said = [Problem(Grade.INADEQUATE if samples < TOO_SHORT else Grade.USABLE, few)] if samples < FEW else []
+    said += [Problem(one.grade, one.text) for one in found if one.grade is not Grade.GOOD]
     lag_one = any(one.limits is REPEATS and one.grade is not Grade.GOOD for one in found)
     worst = next((one.text for one in found if one.limits is REPEATS_WORST), "")
     return [one for one in said if not (lag_one and one.text == worst)]
