@@ -41,7 +41,7 @@ def main() -> int:
         return code
     print("\n2. How many liars does it survive\n", flush=True)
     found = analyse(Plant.load(plant), tol=TOLERANCE)
-    print(str(found).splitlines()[0])
+    print(str(found).split("\n\n")[0])
     print(f"wrote {write_resilience(found, out / 'resilience.html', source=plant.name)}")
     print("\n3. Two sensors lie: name them, and estimate without them\n", flush=True)
     attacked, estimates = falsify.main(out / "attacked.csv"), out / "estimates.parquet"
