@@ -84,6 +84,7 @@ class Verdict:
         problems: what is wrong, the gravest first.
         sensors: evidence per sensor, in the plant's order.
         residuals: the numbers behind it. criteria: those that the grade rests on, with their limits.
+        reason: what a fit that is much too bad is put down to, one sentence; it is among the problems, too.
         blamed: sensors without which an inadequate model fits; empty if there are none such, or none is
             needed.
     """
@@ -94,6 +95,7 @@ class Verdict:
     residuals: Residuals
     criteria: tuple[Criterion, ...]
     blamed: tuple[str, ...] = ()
+    reason: str = ""
 
     @property
     def verifiable(self) -> tuple[str, ...]:
@@ -223,15 +225,17 @@ def judged(
             looked_at = ()
             wrong = [Problem(Grade.INADEQUATE, "There is no sample to judge the model by.")]
         blamed: tuple[str, ...] = ()
+        reason = ""
         tried = min(BLAMED, plant.n_sensors - 1)
         if tried and found.size > RESTORED and overall(wrong) is Grade.INADEQUATE:
             blamed = _blame(plant, record, tried)
             rival = _blame(plant, record, len(blamed), blamed) if blamed else ()
             wrong.append(_reason(blamed, rival, tried, plant.n_sensors))
+            reason = wrong[-1].text
             blamed = () if rival or 2 * len(blamed) >= plant.n_sensors else blamed
         wrong.sort(key=lambda problem: problem.grade is not Grade.INADEQUATE)
         sensors = tuple(_evidence(plant, record, found, None if blamed else law, blamed))
-    return Verdict(overall(wrong), tuple(wrong), sensors, found, looked_at, blamed)
+    return Verdict(overall(wrong), tuple(wrong), sensors, found, looked_at, blamed, reason)
 
 
 def _evidence(
