@@ -39,7 +39,7 @@ def _shown(one: Criterion) -> str:
     if one.shown == 0 and not one.channel and one.ideal == 0:
         return "none beyond chance"
     if one.unit == "%":
-        return rate(one.shown)
+        return f"{rate(one.shown)}, {escape(one.channel)}" if one.channel else rate(one.shown)
     number = compact(one.shown) if one.ideal else f"{one.shown:.2f} {one.unit}".rstrip()
     return f"{number}, {escape(one.channel)}" if one.channel else number
 
