@@ -36,10 +36,10 @@ def _criterion(one: Criterion) -> str:
 
 def _shown(one: Criterion) -> str:
     """The number, with the channel it belongs to."""
-    if one.shown == 0 and not one.channel and one.ideal == 0:
-        return "none beyond chance"
     if one.unit == "%":
         return f"{rate(one.shown)}, {escape(one.channel)}" if one.channel else rate(one.shown)
+    if one.shown == 0 and not one.channel and one.ideal == 0:
+        return "none beyond chance"
     number = compact(one.shown) if one.ideal else f"{one.shown:.2f} {one.unit}".rstrip()
     return f"{number}, {escape(one.channel)}" if one.channel else number
 
