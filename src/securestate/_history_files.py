@@ -45,7 +45,7 @@ def read_history(
     Files look as in `read_measurements`, but no plant is known: every column that is neither the time nor
     named as something else is a channel. Sample times without a row become rows of NaN. A new segment begins
     with every file, where the value of the segment column changes, and after a gap of more than 25 samples.
-    A sample without all its inputs ends a segment too.
+    Inputs that miss more than three samples in a row end a segment too.
 
     Args:
         path: one file or several, each .csv, .tsv, .txt, .parquet, .pq, .nc or .nc4.

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 #: Least variance of what tells two channels apart that repeat each other, as a share of the channel's
 #: variance.
-APART = 1e-6
+APART = 1e-3
 
 
 def grouped(

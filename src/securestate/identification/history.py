@@ -15,6 +15,9 @@ from securestate.identification.forms import Segment
 
 Array = NDArray[np.float64]
 
+#: Missing inputs in a row that keep the last known value.
+HELD = 3
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -25,6 +28,7 @@ class History:
         segments: pairs of measurements (N, m), NaN where missing, and inputs (N, q), in engineering units.
         channel_names (m), units (m), input_names (q): text.
         dt: seconds between samples; None if not known.
+        held: missing inputs that were given their last known value.
     """
 
     segments: tuple[Segment, ...]
@@ -32,6 +36,7 @@ class History:
     units: tuple[str, ...]
     input_names: tuple[str, ...]
     dt: float | None = None
+    held: int = 0
 
     @classmethod
     def of(
@@ -49,8 +54,8 @@ class History:
         Args:
             y: measurements (N, m): an array, or a table with column names such as a DataFrame; or a list of
                 these, one per segment. NaN is missing, infinite numbers are an error. Or a `History`, alone.
-            u: inputs of the same samples, (N, q), in the same way; None: no inputs. A sample without all its
-                inputs ends a segment.
+            u: inputs of the same samples, (N, q), in the same way; None: no inputs. Up to `HELD` missing inputs in a
+                row keep the last known value; a longer gap ends a segment.
             dt: seconds between samples; None: not known.
             channel_names, input_names: default: those of the tables, else y1, y2, ... and u1, u2, ...
             units: one per channel; default: none.
@@ -74,6 +79,7 @@ class History:
             raise ShapeError("u", f"{len(ys)} segments, as y has", f"{len(us)}")
         inputs = () if u is None else _names("input_names", input_names, us, "u")
         segments: list[Segment] = []
+        held = 0
         for i, (part, driven) in enumerate(zip(ys, us, strict=True)):
             at = f"[{i}]" if len(ys) > 1 else ""
             measured = _numbers(f"y{at}", part, len(channels))
@@ -82,6 +88,8 @@ class History:
             )
             if len(entered) != len(measured):
                 raise ShapeError(f"u{at}", f"{len(measured)} samples, as y has", f"{len(entered)}")
+            entered, filled = _held(entered)
+            held += filled
             segments += _unbroken(measured, entered)
         if not segments:
             raise MeasurementError("y", "samples", "none")
@@ -93,6 +101,7 @@ class History:
             else check.labels("units", units, len(channels), InputError, empty=True),
             inputs,
             None if dt is None else check.positive_number("dt", dt, InputError),
+            held,
         )
 
     def select(self, channels: Sequence[str], inputs: Sequence[str]) -> History:
@@ -109,6 +118,7 @@ class History:
             tuple(self.units[i] for i in rows),
             tuple(inputs),
             self.dt,
+            self.held,
         )
 
     @property
@@ -174,6 +184,20 @@ def _numbers(argument: str, value: Any, width: int) -> Array:
             argument, "finite numbers, NaN where missing", f"{numbers[row, column]} at [{row}, {column}]"
         )
     return numbers
+
+
+def _held(u: Array) -> tuple[Array, int]:
+    """Inputs with short gaps filled by the last known value, and how many were missing there."""
+    missing = np.isnan(u)
+    if not missing.any():
+        return u, 0
+    filled = u.copy()
+    for j in np.flatnonzero(missing.any(axis=0)):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing[:, j], [False]]).astype(np.int8)))
+        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+            if start > 0 and stop - start <= HELD:
+                filled[start:stop, j] = filled[start - 1, j]
+    return filled, int(missing.sum() - np.isnan(filled).sum())
 
 
 def _unbroken(y: Array, u: Array) -> list[Segment]:

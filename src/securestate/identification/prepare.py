@@ -118,6 +118,7 @@ def prepare(history: History) -> Prepared:
     steps = np.array([rounding(column) for column in y.T])
     own = np.maximum(LEAST_NOISE, (steps / np.where(varies, scale, 1.0)) ** 2 / 12)
     groups = _groups(z, np.flatnonzero(varies), own)
+    _align(y, groups, offset, scale)
     found = Prepared(
         groups=groups,
         offset=offset,
@@ -168,6 +169,20 @@ def _groups(z: Array, kept: Indices, own: Array) -> tuple[Group, ...]:
     return tuple(groups)
 
 
+def _align(y: Array, groups: Sequence[Group], offset: Array, scale: Array) -> None:
+    """Give copies the operating point with which they equal the first channel of their group, in place.
+
+    Their own mean and deviation differ a little if they miss other samples; the rest would look like a lie.
+    """
+    for group in groups:
+        first = group.channels[0]
+        for i, sign in zip(group.channels[1:], group.signs[1:], strict=True):
+            both = np.isfinite(y[:, first]) & np.isfinite(y[:, i])
+            z = sign * (y[both, first] - offset[first]) / scale[first]
+            slope = float(np.dot(z - z.mean(), y[both, i]) / np.sum((z - z.mean()) ** 2))
+            offset[i], scale[i] = float(np.mean(y[both, i]) - slope * z.mean()), abs(slope)
+
+
 def _alike(z: Array) -> NDArray[np.bool_]:
     """Pairs of channels that may repeat each other, by their correlation; one pass for all, (m, m)."""
     there = np.isfinite(z).astype(np.float64)
@@ -181,8 +196,9 @@ def _repeats(first: Array, second: Array, apart: float) -> float:
     both = np.isfinite(first) & np.isfinite(second)
     if np.count_nonzero(both) < STRETCH:
         return 0.0
-    sign = 1.0 if np.dot(first[both], second[both]) >= 0 else -1.0
-    return sign if np.std(first[both] - sign * second[both]) < apart else 0.0
+    a, b = ((x[both] - x[both].mean()) / max(float(x[both].std()), 1e-300) for x in (first, second))
+    sign = 1.0 if np.dot(a, b) >= 0 else -1.0
+    return sign if np.std(a - sign * b) < apart else 0.0
 
 
 def rounding(x: Array) -> float:
@@ -219,6 +235,8 @@ def _remarks(
     groups: Sequence[Group],
 ) -> list[str]:
     names, said = history.channel_names, []
+    if history.held:
+        said.append(f"{count(history.held, 'missing input')} held at the last known value.")
     silent = [name for name, heard in zip(names, read, strict=True) if not heard]
     if silent:
         verb = "holds no reading and is" if len(silent) == 1 else "hold no reading and are"
