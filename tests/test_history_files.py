@@ -110,18 +110,20 @@ def test_the_segment_column_splits_and_time_may_start_again(file: Write) -> None
 
 
 def test_runs_of_the_example_are_its_segments() -> None:
-    history = read_history(ROOT / "examples/tennessee-eastman/held-out.csv", segment_column="run")
-    frame = pd.read_csv(ROOT / "examples/tennessee-eastman/held-out.csv")
+    history = read_history(ROOT / "examples/tennessee-eastman/history.csv", segment_column="run")
+    frame = pd.read_csv(ROOT / "examples/tennessee-eastman/history.csv")
     assert history.dt == 180.0
     assert history.channel_names == tuple(frame.columns[2:])
     for (y, _), (_, part) in zip(history.segments, frame.groupby("run", sort=False), strict=True):
         np.testing.assert_array_equal(y, part.iloc[:, 2:])
 
 
-def test_a_sample_without_its_inputs_ends_a_segment(file: Write) -> None:
-    rows = ["0,1,1", "1,2,1", "2,3,", "3,4,1", "5,6,1"]
+def test_inputs_that_miss_more_than_three_samples_end_a_segment_and_fewer_are_held(file: Write) -> None:
+    rows = ["0,1,1", "1,2,2", "2,3,", "3,4,", "4,5,", "5,6,1", "6,7,", "7,8,", "8,9,", "9,10,", "10,11,5"]
     history = read_history(file("time,a,u", *rows), inputs=["u"])
-    assert [y[:, 0].tolist() for y, _ in history.segments] == [[1, 2], [4], [6]]
+    assert [y[:, 0].tolist() for y, _ in history.segments] == [[1, 2, 3, 4, 5, 6], [11]]
+    assert history.segments[0][1][:, 0].tolist() == [1, 2, 2, 2, 2, 1]
+    assert history.held == 3
 
 
 def test_every_file_is_a_segment_of_its_own(file: Write) -> None:

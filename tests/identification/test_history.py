@@ -57,16 +57,26 @@ def test_what_is_selected_comes_in_the_order_asked_for() -> None:
 
 @pytest.mark.parametrize(
     ("absent", "expected"),
-    [([], [6]), ([2], [2, 3]), ([0], [5]), ([5], [5]), ([2, 3], [2, 2]), ([0, 2, 5], [1, 2])],
+    [([], [12]), ([0], [11]), ([4, 5, 6, 7], [4, 4]), ([0, 5, 6, 7, 8], [4, 3]), ([8, 9, 10, 11], [8])],
 )
-def test_a_sample_without_all_its_inputs_ends_a_segment(absent: list[int], expected: list[int]) -> None:
-    u = np.hstack([U, U])
+def test_more_than_three_samples_without_all_inputs_end_a_segment(
+    absent: list[int], expected: list[int]
+) -> None:
+    y, u = np.vstack([Y, 10 + Y]), np.hstack([np.vstack([U, 10 + U])] * 2)
     u[absent, 1] = NAN
-    history = History.of(Y, u)
-    assert lengths(history) == expected
-    known = np.setdiff1d(np.arange(6), absent)
-    np.testing.assert_array_equal(np.vstack([y for y, _ in history.segments]), Y[known])
+    history = History.of(y, u)
+    assert (lengths(history), history.held) == (expected, 0)
+    known = np.setdiff1d(np.arange(12), absent)
+    np.testing.assert_array_equal(np.vstack([y for y, _ in history.segments]), y[known])
     np.testing.assert_array_equal(np.vstack([u for _, u in history.segments]), u[known])
+
+
+def test_up_to_three_missing_inputs_keep_the_last_known_value_and_are_counted() -> None:
+    u = np.hstack([U, U])
+    u[2:5, 1] = NAN
+    history = History.of(Y, u)
+    assert (lengths(history), history.held) == ([6], 3)
+    assert history.segments[0][1][:, 1].tolist() == [*U[:2, 0], *[U[1, 0]] * 3, U[5, 0]]
 
 
 def test_missing_readings_are_counted_and_stay_where_they_are() -> None:

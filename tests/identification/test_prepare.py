@@ -88,7 +88,7 @@ def test_what_never_changes_or_holds_nothing_is_left_out_and_said() -> None:
     assert found.remarks == (
         "c holds no reading and is left out.",
         "b and e never change in the history and are left out.",
-        "1 input without any change left out: held.",
+        "1 input without a change of its own left out: held.",
     )
 
 

@@ -54,8 +54,8 @@ class History:
         Args:
             y: measurements (N, m): an array, or a table with column names such as a DataFrame; or a list of
                 these, one per segment. NaN is missing, infinite numbers are an error. Or a `History`, alone.
-            u: inputs of the same samples, (N, q), in the same way; None: no inputs. Up to `HELD` missing inputs in a
-                row keep the last known value; a longer gap ends a segment.
+            u: inputs of the same samples, (N, q), in the same way; None: no inputs. Up to `HELD` missing
+                inputs in a row keep the last known value; a longer gap ends a segment.
             dt: seconds between samples; None: not known.
             channel_names, input_names: default: those of the tables, else y1, y2, ... and u1, u2, ...
             units: one per channel; default: none.

@@ -217,6 +217,8 @@ class _Task:
         remarks = list(self.prepared.remarks)
         for remark in remarks:
             warnings.warn(remark, SecurestateWarning, stacklevel=4)
+        if self.history.held:
+            remarks.append(f"{count(self.history.held, 'missing input')} held at the last known value.")
         self.tell("looking at the past", 0, 1)
         pasts, largest = self._pasts(order)
         found, trial, subspace = search(

@@ -26,8 +26,14 @@ LEAST, MOST = 0.05, 0.98
 
 
 def independent_of(model: Innovations) -> Independent:
-    """The nearest model with independent noises, as a start for maximum likelihood."""
+    """The nearest model with independent noises, as a start for maximum likelihood.
+
+    Raises:
+        LinAlgError: a channel has no noise at all.
+    """
     A, C, K, S, n = model.A, model.C, model.K, model.S, model.n
+    if not np.all(np.diag(S) > 0):
+        raise np.linalg.LinAlgError("a channel is predicted without error")
     weight = 1 / np.sqrt(np.diag(S))
     i, j = np.tril_indices(n)
     upper = np.triu_indices(len(S), 1)

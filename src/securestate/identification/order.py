@@ -11,6 +11,7 @@ References:
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import final
@@ -115,7 +116,8 @@ def search(
     def fit(n: int) -> None:
         if n not in trials and n <= subspace.largest_order:
             tell(f"order {n}")
-            trials[n] = _trial(subspace, n, fitted, kept_back, floor)
+            with contextlib.suppress(np.linalg.LinAlgError):  # a smaller order may do
+                trials[n] = _trial(subspace, n, fitted, kept_back, floor)
 
     best = max(forms, key=lambda n: forms[n].mean())
     if order is not None:
@@ -124,8 +126,12 @@ def search(
     else:
         fit(_chosen({n: _weighed(subspace, n, values, fitted) for n, values in forms.items()}))
         fit(best)
+        if not trials:
+            raise np.linalg.LinAlgError("no model of any order")
         _climb(trials, fit, float(forms[best].mean()) - COSTLY * subspace.m, best + subspace.m)
         chosen = _chosen(trials)
+    if chosen not in trials:
+        raise np.linalg.LinAlgError(f"no model of order {chosen}")
     found = OrderSearch(
         order=chosen,
         past=subspace.p,

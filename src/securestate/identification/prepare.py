@@ -235,8 +235,6 @@ def _remarks(
     groups: Sequence[Group],
 ) -> list[str]:
     names, said = history.channel_names, []
-    if history.held:
-        said.append(f"{count(history.held, 'missing input')} held at the last known value.")
     silent = [name for name, heard in zip(names, read, strict=True) if not heard]
     if silent:
         verb = "holds no reading and is" if len(silent) == 1 else "hold no reading and are"
