@@ -24,17 +24,18 @@ from securestate.errors import InputError, MeasurementError, SecurestateWarning
 from securestate.identification.assemble import assemble, grouped, marked, scaled_noise
 from securestate.identification.forms import EDGE, Independent, Innovations, Segment
 from securestate.identification.history import History, numbered
-from securestate.identification.judge import VERIFIABLE, Verdict, judged, require_step
+from securestate.identification.judge import Verdict, judged, require_step
 from securestate.identification.lags import past_length
 from securestate.identification.maximise import Fit, Freedom, maximise
 from securestate.identification.order import COSTLY, TRIAL, OrderSearch, score, search
 from securestate.identification.prepare import FILLED, Prepared, complete, prepare, split
-from securestate.identification.redundancy import explained, left_out
 from securestate.identification.subspace import Subspace
 from securestate.identification.verdict import Grade
+from securestate.identification.vouching import gained_at_once, lost_without_inputs
 from securestate.plant import Plant
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Progress = Callable[[str, int, int], None]
 
 #: Share of the history, its end, that judges orders, and the model if there is no other record to do so.
@@ -388,27 +389,15 @@ class _Task:
         return float(1 + excess * (1.0 if self.other else 1 - KEPT_BACK))
 
     def _without_inputs(self, verdict: Verdict, plant: Plant) -> tuple[Verdict, list[str]]:
-        """Count a sensor as verifiable only if the others vouch for it without the inputs; warns of those
-        that lose it.
+        """Count a sensor as verifiable only if the others vouch for it without the inputs; warns of the rest.
 
-        A controller's output repeats what a sensor said, and where the plant is slow that tells the next
-        reading, feedthrough or not. With feedthrough the user has said that no controller is at work.
+        With feedthrough the user has said that no controller is at work.
         """
-        claimed = [sensor.name for sensor in verdict.sensors if sensor.verifiable]
-        if not plant.n_inputs or self.feedthrough or not claimed:
+        rows = {name: own for name, own in self._rows(plant).items() if name in verdict.verifiable}
+        if not plant.n_inputs or self.feedthrough or not rows:
             return verdict, []
-        fitted, kept = ([(y, u[:, :0]) for y, u in record] for record in (self.fitted, self.kept))
-        m = len(self.prepared.groups)
-        past = max(2, min(2 * past_length(fitted, self._longest(m), False), MOST_REGRESSORS // m))
-        subspace = Subspace(fitted, past, False, self.edge)
-        orders = range(1, min(LARGEST, subspace.largest_order) + 1)
-        form = max((subspace.model(n) for n in orders), key=lambda model: float(score(model, kept).mean()))
-        lost = []
-        for sensor in plant.sensors:
-            rows = np.unique([self._group_of(self.history.channel_names.index(c)) for c in sensor.channels])
-            if sensor.name in claimed:
-                _, least = explained(left_out(form, rows, kept), [y[:, rows] for y, _ in kept])
-                lost += [] if least >= VERIFIABLE else [sensor.name]
+        longest = self._longest(len(self.prepared.groups))
+        lost = lost_without_inputs(self.fitted, self.kept, rows, longest, self.edge)
         if not lost:
             return verdict, []
         sensors = tuple(
@@ -422,31 +411,12 @@ class _Task:
         warnings.warn(text, SecurestateWarning, stacklevel=5)
         return replace(verdict, sensors=sensors), [text + "."]
 
-    def _longest(self, width: int) -> int:
-        """The longest past that the regressions try, for so many columns."""
-        lengths = np.array([len(y) for y, _ in self.fitted])
-        total = int(lengths.sum())
-        longest = int(np.clip(total // (4 * width), 1, max(4, min(30, 600 // width))))
-        while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
-            longest -= 1
-        return longest
-
     def _leaks(self, subspace: Subspace, found: OrderSearch, plant: Plant) -> list[str]:
-        """Sensors that only the inputs of the same sample vouch for; warns of them."""
+        """Warn of sensors that only the inputs of the same sample vouch for."""
         if not self.feedthrough:
             return []
         n = max(found.innovations, key=lambda n: found.innovations[n])
-        without = Subspace(self.fitted, subspace.p, False, self.edge).model(n)
-        named = []
-        for sensor in plant.sensors:
-            rows = np.unique([self._group_of(self.history.channel_names.index(c)) for c in sensor.channels])
-            readings = [y[:, rows] for y, _ in self.kept]
-            shares = [
-                explained(left_out(form, rows, self.kept), readings)[0]
-                for form in (subspace.model(n), without)
-            ]
-            if shares[0] >= VERIFIABLE > shares[1]:
-                named.append(f"{sensor.name} ({100 * shares[0]:.0f} %, else {100 * max(shares[1], 0):.0f} %)")
+        named = gained_at_once(subspace, n, self.fitted, self.kept, self._rows(plant))
         if not named:
             return []
         text = (
@@ -456,6 +426,23 @@ class _Task:
         )
         warnings.warn(text, SecurestateWarning, stacklevel=5)
         return [text + "."]
+
+    def _rows(self, plant: Plant) -> dict[str, Indices]:
+        """Channels of the model by sensor."""
+        place = self.history.channel_names.index
+        return {
+            sensor.name: np.unique([self._group_of(place(channel)) for channel in sensor.channels])
+            for sensor in plant.sensors
+        }
+
+    def _longest(self, width: int) -> int:
+        """The longest past that the regressions try, for so many columns."""
+        lengths = np.array([len(y) for y, _ in self.fitted])
+        total = int(lengths.sum())
+        longest = int(np.clip(total // (4 * width), 1, max(4, min(30, 600 // width))))
+        while longest > 1 and np.maximum(lengths - longest, 0).sum() < 0.8 * total:
+            longest -= 1
+        return longest
 
 
 def _refuse_short(history: History, prepared: Prepared, stretches: Sequence[Segment]) -> None:
