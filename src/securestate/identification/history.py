@@ -186,6 +186,17 @@ def _numbers(argument: str, value: Any, width: int) -> Array:
     return numbers
 
 
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    """Where flags are set: beginning and end of every run.
+
+    Examples:
+        >>> runs(np.array([True, True, False, True]))
+        [(0, 2), (3, 4)]
+    """
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8))).tolist()
+    return list(zip(edges[::2], edges[1::2], strict=True))
+
+
 def _held(u: Array) -> tuple[Array, int]:
     """Inputs with short gaps filled by the last known value, and how many were missing there."""
     missing = np.isnan(u)
@@ -193,8 +204,7 @@ def _held(u: Array) -> tuple[Array, int]:
         return u, 0
     filled = u.copy()
     for j in np.flatnonzero(missing.any(axis=0)):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing[:, j], [False]]).astype(np.int8)))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        for start, stop in runs(missing[:, j]):
             if start > 0 and stop - start <= HELD:
                 filled[start:stop, j] = filled[start - 1, j]
     return filled, int(missing.sum() - np.isnan(filled).sum())
@@ -205,5 +215,4 @@ def _unbroken(y: Array, u: Array) -> list[Segment]:
     known = np.isfinite(u).all(axis=1)
     if known.all():
         return [(y, u)] if len(y) else []
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], known, [False]]).astype(np.int8)))
-    return [(y[a:b], u[a:b]) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+    return [(y[a:b], u[a:b]) for a, b in runs(known)]

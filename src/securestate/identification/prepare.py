@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from securestate._words import count, enumerate_names
 from securestate.errors import MeasurementError
 from securestate.identification.forms import Segment
-from securestate.identification.history import History
+from securestate.identification.history import History, runs
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -267,8 +267,7 @@ def complete(segments: Sequence[Segment], least: int = STRETCH) -> list[Segment]
     for y, u in segments:
         filled = np.column_stack([_interpolated(column) for column in y.T])
         whole = np.isfinite(filled).all(axis=1)
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], whole, [False]]).astype(np.int8)))
-        for start, stop in zip(edges[::2], edges[1::2], strict=True):
+        for start, stop in runs(whole):
             if stop - start >= least:
                 stretches.append((filled[start:stop], u[start:stop]))
     return stretches
@@ -280,9 +279,8 @@ def _interpolated(x: Array) -> Array:
     if not missing.any() or missing.all():
         return x
     line = np.interp(np.arange(len(x)), np.flatnonzero(~missing), x[~missing])
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
     filled = x.copy()
-    for start, stop in zip(edges[::2], edges[1::2], strict=True):
+    for start, stop in runs(missing):
         if stop - start <= FILLED and start > 0 and stop < len(x):
             filled[start:stop] = line[start:stop]
     return filled
@@ -313,8 +311,7 @@ def _stuck(history: History, varies: NDArray[np.bool_]) -> list[str]:
         for y, _ in history.segments:
             x = y[np.isfinite(y[:, i]), i]
             same = np.diff(x) == 0
-            edges = np.flatnonzero(np.diff(np.concatenate([[False], same, [False]]).astype(np.int8)))
-            longest = max(longest, int(np.max(edges[1::2] - edges[::2], initial=0)))
+            longest = max([longest, *(stop - start for start, stop in runs(same))])
             changes, steps = changes + int(np.sum(~same)), steps + len(same)
         # Were changes independent, the longest run among `steps` would be about log(steps) / -log(1 - share).
         share = min(max(changes / max(steps, 1), 1e-9), 1 - 1e-9)
