@@ -212,7 +212,7 @@ def _held(u: Array) -> tuple[Array, int]:
 
 def _unbroken(y: Array, u: Array) -> list[Segment]:
     """The stretches in which every input is known."""
-    known = np.isfinite(u).all(axis=1)
+    known = np.asarray(np.isfinite(u).all(axis=1))
     if known.all():
         return [(y, u)] if len(y) else []
     return [(y[a:b], u[a:b]) for a, b in runs(known)]

@@ -266,7 +266,7 @@ def complete(segments: Sequence[Segment], least: int = STRETCH) -> list[Segment]
     stretches: list[Segment] = []
     for y, u in segments:
         filled = np.column_stack([_interpolated(column) for column in y.T])
-        whole = np.isfinite(filled).all(axis=1)
+        whole = np.asarray(np.isfinite(filled).all(axis=1))
         for start, stop in runs(whole):
             if stop - start >= least:
                 stretches.append((filled[start:stop], u[start:stop]))
