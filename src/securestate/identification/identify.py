@@ -131,7 +131,7 @@ def identify(
         u: inputs of the same samples, (N, q), in the same way. Inputs that a controller computes from y
             repeat
             what the sensors said: leave them out if in doubt.
-        order: number of states, or "auto": the smallest that predicts samples kept back as well as any.
+        order: number of states, or "auto": chosen by samples kept back, see `order`.
         held_out, held_out_u: another record of the same channels for the verdict.
         feedthrough: let an input act within its sample (D). Only if no controller computes u from y of the
             same
