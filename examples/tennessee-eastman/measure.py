@@ -16,13 +16,14 @@ from collections import Counter
 from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
+from time import process_time
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 from scipy.linalg import solve_discrete_lyapunov
 
-from securestate import Belief, BiasMonitor, Identified, KalmanFilter, Plant, SparseFusion, identify
+from securestate import Belief, BiasMonitor, Identified, KalmanFilter, Plant, SparseFusion, identify, judge
 from securestate.reporting import summarise
 
 HERE = Path(__file__).resolve().parent
@@ -38,9 +39,12 @@ Array = NDArray[np.float64]
 
 def main() -> None:
     """Print false alarms, one row per sensor, and what two liars in concert achieve."""
+    start = process_time()
     found, runs = learned(), clean_runs()
     plant = found.plant
-    print(f"{found.verdict}\n")
+    print(f"{found}\nLearned in {process_time() - start:.1f} s of processor time.\n")
+    on_clean = judge(plant, [*runs])
+    print(f"On the ten runs: {on_clean}\n")
     halves = (runs[::2], runs[1::2])
     folds = [(BiasMonitor(plant, run_length=DAY, calibrate_on=[*halves[1 - k]]), halves[k]) for k in range(2)]
     alarms = sum(episodes(watched(monitor, y)) for monitor, tested in folds for y in tested)

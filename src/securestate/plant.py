@@ -47,7 +47,7 @@ A plant file is TOML. Required are [plant] with A and Q, and at least one [[sens
 
 import os
 from collections.abc import Iterable, Sequence
-from typing import ClassVar, final
+from typing import Any, ClassVar, final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -296,20 +296,28 @@ class Plant(Value):
         return self._copy(A, sensors, D, None if own_noise else self.R[np.ix_(rows, rows)])
 
     def _copy(self, A: Array, sensors: list[Sensor], D: Array | None, R: Array | None) -> "Plant":
-        return Plant(
-            A,
-            self.Q,
-            sensors,
-            B=self.B,
-            D=D,
-            R=R,
-            dt=self.dt,
-            state_names=self.state_names,
-            input_names=self.input_names or None,
-            input_offset=self.input_offset,
-            input_scale=self.input_scale,
-            name=self.name,
-        )
+        return self.replaced(A=A, sensors=sensors, D=D, R=R)
+
+    def replaced(self, **changes: Any) -> "Plant":
+        """Return the same plant with other arguments. R and D go with the sensors if these carry their
+        own.
+        """
+        sensors = changes.get("sensors", self.sensors)
+        same: dict[str, Any] = {
+            "A": self.A,
+            "Q": self.Q,
+            "sensors": sensors,
+            "B": self.B,
+            "D": None if any(sensor.D is not None for sensor in sensors) else self.D,
+            "R": None if all(sensor.R is not None for sensor in sensors) else self.R,
+            "dt": self.dt,
+            "state_names": self.state_names,
+            "input_names": self.input_names or None,
+            "input_offset": self.input_offset,
+            "input_scale": self.input_scale,
+            "name": self.name,
+        }
+        return Plant(**(same | changes))
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> "Plant":

@@ -114,13 +114,13 @@ def _noise(model: Independent, history: History, prepared: Prepared) -> Array:
 def scaled_noise(plant: Plant, factor: float) -> Plant:
     """The same plant with every noise larger by this factor, as a variance: the same gains, larger errors."""
     sensors = [sensor.replaced(R=None if sensor.R is None else factor * sensor.R) for sensor in plant.sensors]
-    return _rebuilt(plant, plant.A, plant.B, factor * plant.Q, sensors, factor * plant.R)
+    return plant.replaced(Q=factor * plant.Q, sensors=sensors, R=_shared(sensors, factor * plant.R))
 
 
 def marked(plant: Plant, verifiable: Mapping[str, bool]) -> Plant:
     """The same plant, its sensors marked as verifiable or not."""
     sensors = [sensor.replaced(verifiable=verifiable[sensor.name]) for sensor in plant.sensors]
-    return _rebuilt(plant, plant.A, plant.B, plant.Q, sensors, plant.R)
+    return plant.replaced(sensors=sensors)
 
 
 def with_matrices(plant: Plant, model: Independent) -> Plant:
@@ -129,24 +129,11 @@ def with_matrices(plant: Plant, model: Independent) -> Plant:
     for i, sensor in enumerate(plant.sensors):
         rows = plant.channels_of(i)
         R = None if sensor.R is None else np.diag(model.r[rows])
-        D = model.D[rows] if np.any(model.D) else None
-        sensors.append(sensor.replaced(C=model.C[rows], R=R, D=D))
-    return _rebuilt(plant, model.A, model.B, model.Q, sensors, np.diag(model.r))
+        sensors.append(sensor.replaced(C=model.C[rows], R=R, D=None))
+    R = _shared(sensors, np.diag(model.r))
+    return plant.replaced(A=model.A, B=model.B, Q=model.Q, sensors=sensors, D=model.D, R=R)
 
 
-def _rebuilt(plant: Plant, A: Array, B: Array, Q: Array, sensors: Sequence[Sensor], R: Array) -> Plant:
-    """The same plant with these matrices and sensors, which carry their own D if they have one."""
-    own = all(sensor.R is not None for sensor in sensors)
-    return Plant(
-        A,
-        Q,
-        sensors,
-        B=B if plant.n_inputs else None,
-        R=None if own else R,
-        dt=plant.dt,
-        state_names=plant.state_names,
-        input_names=plant.input_names or None,
-        input_offset=plant.input_offset,
-        input_scale=plant.input_scale,
-        name=plant.name,
-    )
+def _shared(sensors: Sequence[Sensor], R: Array) -> Array | None:
+    """R of the plant, None if every sensor carries its own."""
+    return None if all(sensor.R is not None for sensor in sensors) else R

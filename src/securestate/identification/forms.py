@@ -81,6 +81,11 @@ class Innovations:
         """Number of states."""
         return len(self.A)
 
+    def parameters(self, feedthrough: bool) -> int:
+        """How many numbers a fit determines: all but the n^2 that are coordinates of the state."""
+        n, (m, q) = self.n, self.D.shape
+        return int(n * (2 * m + q) + m * (m + 1) // 2 + (m * q if feedthrough else 0))
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -98,6 +103,11 @@ class Independent:
     def n(self) -> int:
         """Number of states."""
         return len(self.A)
+
+    def parameters(self, feedthrough: bool) -> int:
+        """How many numbers a fit determines: all but the n^2 that are coordinates of the state."""
+        n, (m, q) = self.n, self.D.shape
+        return int(n * (m + q) + n * (n + 1) // 2 + m + (m * q if feedthrough else 0))
 
     def turned(self, T: Array) -> Independent:
         """The same model for the state T^-1 x."""

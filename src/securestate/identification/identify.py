@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Literal, final
 
 import numpy as np
@@ -22,8 +22,9 @@ from securestate._threads import one_blas_thread
 from securestate._words import count, enumerate_names
 from securestate.errors import InputError, MeasurementError, SecurestateWarning
 from securestate.identification.assemble import assemble, grouped, marked, scaled_noise
-from securestate.identification.forms import EDGE, Independent, Innovations, Segment
+from securestate.identification.forms import EDGE, Independent, Segment
 from securestate.identification.history import History, numbered
+from securestate.identification.identified import Identified
 from securestate.identification.judge import Verdict, judged, require_step
 from securestate.identification.lags import past_length
 from securestate.identification.maximise import Fit, Freedom, maximise
@@ -52,53 +53,6 @@ LARGEST = 20
 
 #: The past is tried so many times as long as the regression on it alone would have it; regressors at most.
 LONGER, MOST_REGRESSORS = (1, 2, 3), 800
-
-
-@final
-@dataclass(frozen=True, eq=False)
-class Identified:
-    """A plant learned from a history, and how far it can be trusted.
-
-    Attributes:
-        plant: to be used; its operating point keeps files in engineering units. A sensor that the others
-            cannot
-            vouch for is not `verifiable`.
-        verdict: judged by samples not used for fitting. Without a held-out record these are the last quarter
-            of
-            the history, judged with a model of the same order fitted to the rest; the plant is fitted to all.
-        search: the orders tried.
-        innovations: the best innovations form, in normalised units, channels as in `channels`.
-        channels: channels of the innovations form; of several that repeat each other the first.
-        likelihoods: log-likelihood in nats per sample over the steps of the last fit; they never fall.
-        noise_factor: by how much Q and R were raised so that errors on new data are as large as the plant
-            says.
-        remarks: what was done to the data, and what stood out, one sentence each.
-        samples, missing: of the history: how many, and the share of readings that were missing.
-    """
-
-    plant: Plant
-    verdict: Verdict
-    search: OrderSearch
-    innovations: Innovations
-    channels: tuple[str, ...]
-    likelihoods: tuple[float, ...]
-    noise_factor: float
-    remarks: tuple[str, ...]
-    samples: int
-    missing: float
-
-    def __str__(self) -> str:
-        return "\n".join([self.headline, *self.verdict.sentences(), *self.remarks])
-
-    @property
-    def headline(self) -> str:
-        """What was learned, in one sentence."""
-        plant = self.plant
-        inputs = f" and {count(plant.n_inputs, 'input')}" if plant.n_inputs else ""
-        return (
-            f"{plant.name or 'A plant'} of {count(plant.n, 'state')} learned from "
-            f"{count(self.samples, 'sample')} of {count(plant.m, 'channel')}{inputs}."
-        )
 
 
 def identify(
@@ -369,13 +323,10 @@ class _Task:
     def _parameters(self, model: Independent) -> float:
         """By how much errors grow on new data because so many parameters were fitted: 2 k / readings.
 
-        Fitted errors are too small by k / readings, new ones too large by as much. n^2 parameters are
-        coordinates.
+        Fitted errors are too small by k / readings, new ones too large by as much.
         """
-        n, (m, q) = model.n, model.D.shape
-        k = n * (m + q) + n * (n + 1) // 2 + m + (m * q if self.feedthrough else 0)
         readings = sum(int(np.isfinite(y).sum()) for y, _ in self.prepared.segments)
-        return float(2 * k / readings)
+        return 2 * model.parameters(self.feedthrough) / readings
 
     def _noise_factor(self, verdict: Verdict) -> float:
         """Errors on new data over what the model says, if surely larger; less where the plant saw more

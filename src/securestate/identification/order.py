@@ -186,17 +186,18 @@ def _trial(subspace: Subspace, n: int, fitted: Record, kept_back: Record, floor:
     em, steps = TRIAL
     models = (start, maximise(start, fitted, freedom, floor, em=em, steps=steps).model)
     kept, model = max(((score(each, kept_back), each) for each in models), key=lambda pair: pair[0].mean())
-    (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
-    parameters = n * (m + q) + n * (n + 1) // 2 + m + through
-    return Trial(model, kept, float(score(model, fitted).sum()) - PRICE * parameters)
+    return Trial(model, kept, _criterion(model, fitted, subspace.feedthrough))
 
 
 def _weighed(subspace: Subspace, n: int, kept: Array, fitted: Record) -> Trial:
     """The innovations form of order n, with what the criterion says of it."""
     model = subspace.model(n)
-    (m, q), through = model.D.shape, subspace.feedthrough * model.D.size
-    parameters = n * (2 * m + q) + m * (m + 1) // 2 + through
-    return Trial(model, kept, float(score(model, fitted).sum()) - PRICE * parameters)
+    return Trial(model, kept, _criterion(model, fitted, subspace.feedthrough))
+
+
+def _criterion(model: Independent | Innovations, fitted: Record, feedthrough: bool) -> float:
+    """Log-likelihood of the samples fitted, less the price of the parameters."""
+    return float(score(model, fitted).sum()) - PRICE * model.parameters(feedthrough)
 
 
 def _climb(trials: Mapping[int, Trial], fit: Callable[[int], None], enough: float, reach: int) -> None:
