@@ -16,6 +16,7 @@ mod kernel;
 mod mixture;
 mod mixture_fusion;
 mod plant;
+mod secure;
 mod simulation;
 mod smoother;
 mod sparse_fusion;
@@ -45,6 +46,8 @@ mod _kernels {
     use super::mixture::innovation_mixture;
     #[pymodule_export]
     use super::mixture_fusion::mixture_fusion;
+    #[pymodule_export]
+    use super::secure::secure_filter;
     #[pymodule_export]
     use super::simulation::simulate;
     #[pymodule_export]

@@ -27,6 +27,7 @@ pub mod projection;
 pub mod protected;
 pub mod reaction;
 pub mod record;
+pub mod secure;
 pub mod simulation;
 pub mod smoother;
 pub mod sparse_fusion;

@@ -168,7 +168,7 @@ impl Block {
 }
 
 /// A X = B in place of B (m, columns), by elimination with row pivoting; A is destroyed.
-fn solve(a: &mut [f64], b: &mut [f64], m: usize) {
+pub(crate) fn solve(a: &mut [f64], b: &mut [f64], m: usize) {
     let columns = b.len() / m;
     for j in 0..m {
         let pivot =

@@ -54,6 +54,13 @@ impl Posterior {
         information.conclude(eta, &mut self.root[..self.n * self.n], &mut self.shift);
     }
 
+    /// Become the belief with this root (n, n).
+    #[inline(always)]
+    pub fn take(&mut self, root: &[f64]) {
+        self.rows = self.n;
+        self.root[..self.n * self.n].copy_from_slice(root);
+    }
+
     /// Take in another labelling, whose sites `information` now holds, with the given weight.
     #[inline(always)]
     pub fn merge(&mut self, information: &mut Information, eta: &[f64], weight: f64) -> f64 {

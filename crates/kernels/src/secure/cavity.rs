@@ -1,0 +1,210 @@
+//! What the others expect of one sensor, in coordinates in which its channels are independent.
+//!
+//! ```text
+//!     h = (I − H Λ)⁻¹ H = Q diag(v − 1) Qᵀ,   m = (I − H Λ)⁻¹ (e − H η),   z = Qᵀ (r − m)
+//! ```
+//!
+//! A sensor that lies by N(b, c I) then sends independent z_a ~ N((Qᵀ b)_a, v_a + c). With beliefs γ_j, injections b_j
+//! and noise 1 + c_j, the Gaussian site that gives the mixture its mean and covariance is
+//!
+//! ```text
+//!     g_j = (z − Qᵀ b_j) / (v + c_j),   ḡ = Σ γ_j g_j
+//!     M = diag(Σ γ_j / (v + c_j)) − t (Σ γ_j g_j g_jᵀ − ḡ ḡᵀ),   t ≤ 1 so that M is a covariance
+//!     Λ' = (I − M h)⁻¹ M,   η' = Λ' (m + h ḡ) + ḡ
+//! ```
+//!
+//! No h is inverted: a sensor may measure the same thing twice, or something that is known.
+
+use crate::linalg::dot;
+use crate::mixture::block::solve;
+
+/// Sweeps of Jacobi's rotations: quadratic convergence, and the matrices are small.
+const ROTATIONS: usize = 12;
+
+/// A way to explain a sensor that says something about the state: belief, where its injection lies, noise added.
+#[derive(Debug, Clone, Copy)]
+pub struct Way<'a> {
+    /// γ_j
+    pub belief: f64,
+    /// Qᵀ b_j, or none.
+    pub bias: Option<&'a [f64]>,
+    /// c_j
+    pub added: f64,
+}
+
+/// Scratch for sensors with up to so many channels.
+#[derive(Debug, Clone)]
+pub struct Cavity {
+    /// C_i P C_iᵀ from all sensors, (m, m).
+    pub spread: Vec<f64>,
+    system: Vec<f64>,
+    right: Vec<f64>,
+    /// h, then its eigenvectors are in `turn`.
+    h: Vec<f64>,
+    /// M
+    tilt: Vec<f64>,
+    pull: Vec<f64>,
+    pulls: Vec<f64>,
+    vector: Vec<f64>,
+}
+
+impl Cavity {
+    /// Room for m channels.
+    #[must_use]
+    pub fn new(m: usize) -> Self {
+        let square = || vec![0.0; m * m];
+        Self {
+            spread: square(),
+            system: square(),
+            right: vec![0.0; m * (m + 1)],
+            h: square(),
+            tilt: square(),
+            pull: vec![0.0; m],
+            pulls: vec![0.0; 3 * m],
+            vector: vec![0.0; m],
+        }
+    }
+
+    /// Leave out the site (`precision`, `eta`): z, v and the rows of Qᵀ into `z`, `v` and `turn` (m, m), and the
+    /// turned m into `mean`.
+    pub fn leave_out(
+        &mut self,
+        (precision, eta): (&[f64], &[f64]),
+        (expected, residual): (&[f64], &[f64]),
+        (z, v, mean, turn): (&mut [f64], &mut [f64], &mut [f64], &mut [f64]),
+    ) {
+        let m = eta.len();
+        for a in 0..m {
+            let row = &self.spread[a * m..(a + 1) * m];
+            for b in 0..m {
+                let known: f64 = (0..m).map(|c| row[c] * precision[c * m + b]).sum();
+                self.system[a * m + b] = f64::from(u8::from(a == b)) - known;
+            }
+            self.right[a * (m + 1)..a * (m + 1) + m].copy_from_slice(row);
+            self.right[a * (m + 1) + m] = expected[a] - dot(row, eta);
+        }
+        solve(&mut self.system[..m * m], &mut self.right[..m * (m + 1)], m);
+        for a in 0..m {
+            for b in 0..m {
+                self.h[a * m + b] = 0.5 * (self.right[a * (m + 1) + b] + self.right[b * (m + 1) + a]);
+            }
+            self.vector[a] = self.right[a * (m + 1) + m];
+        }
+        diagonalise(&mut self.h[..m * m], turn, m);
+        for a in 0..m {
+            let row = &turn[a * m..(a + 1) * m];
+            v[a] = 1.0 + self.h[a * m + a].max(0.0);
+            mean[a] = dot(row, &self.vector[..m]);
+            z[a] = dot(row, residual) - mean[a];
+        }
+    }
+
+    /// The site of the ways to explain a sensor, mixed into the old one with weight `step`.
+    pub fn match_moments(
+        &mut self,
+        ways: &[Way<'_>; 2],
+        (z, v, mean, turn): (&[f64], &[f64], &[f64], &[f64]),
+        step: f64,
+        (precision, eta): (&mut [f64], &mut [f64]),
+    ) {
+        let m = eta.len();
+        let pulls = &mut self.pulls[..2 * m];
+        let (mut idle, mut trace) = (1.0, 0.0);
+        self.pull[..m].fill(0.0);
+        self.tilt[..m * m].fill(0.0);
+        for (j, way) in ways.iter().enumerate() {
+            idle -= way.belief;
+            for a in 0..m {
+                let w = 1.0 / (v[a] + way.added);
+                let g = (z[a] - way.bias.map_or(0.0, |bias| bias[a])) * w;
+                pulls[j * m + a] = g;
+                self.pull[a] += way.belief * g;
+                self.tilt[a * m + a] += way.belief * w;
+            }
+        }
+        // The trace bounds the largest eigenvalue of D^-½ Cov D^-½, and equals it where two explanations compete.
+        for a in 0..m {
+            let square = |g: f64| (g - self.pull[a]) * (g - self.pull[a]);
+            let spread: f64 = ways.iter().enumerate().map(|(j, way)| way.belief * square(pulls[j * m + a])).sum();
+            let spread = spread + idle.max(0.0) * square(0.0);
+            trace += spread / self.tilt[a * m + a].max(f64::MIN_POSITIVE);
+        }
+        let share = if trace > 1.0 { 1.0 / trace } else { 1.0 };
+        for a in 0..m {
+            for b in 0..m {
+                let product = |j: usize| pulls[j * m + a] * pulls[j * m + b];
+                let mixed: f64 = ways.iter().enumerate().map(|(j, way)| way.belief * product(j)).sum();
+                self.tilt[a * m + b] -= share * (mixed - self.pull[a] * self.pull[b]);
+            }
+        }
+        for a in 0..m {
+            for b in 0..m {
+                let known = self.tilt[a * m + b] * (v[b] - 1.0);
+                self.system[a * m + b] = f64::from(u8::from(a == b)) - known;
+            }
+        }
+        let right = &mut self.right[..m * m];
+        right.copy_from_slice(&self.tilt[..m * m]);
+        solve(&mut self.system[..m * m], right, m);
+        for a in 0..m {
+            self.vector[a] = mean[a] + (v[a] - 1.0) * self.pull[a];
+        }
+        // Back from the turned coordinates: Λ = Qᵀᵀ Λ' Qᵀ.
+        for a in 0..m {
+            self.pulls[a] = (0..m).map(|b| 0.5 * (right[a * m + b] + right[b * m + a]) * self.vector[b]).sum();
+            self.pulls[a] += self.pull[a];
+        }
+        for a in 0..m {
+            for b in 0..m {
+                let mut value = 0.0;
+                for c in 0..m {
+                    for d in 0..m {
+                        let site = 0.5 * (right[c * m + d] + right[d * m + c]);
+                        value += turn[c * m + a] * site * turn[d * m + b];
+                    }
+                }
+                precision[a * m + b] = (1.0 - step) * precision[a * m + b] + step * value;
+            }
+            let new: f64 = (0..m).map(|c| turn[c * m + a] * self.pulls[c]).sum();
+            eta[a] = (1.0 - step) * eta[a] + step * new;
+        }
+    }
+}
+
+/// Rotate a symmetric matrix (m, m) to a diagonal one; the rows of `turn` are its eigenvectors.
+fn diagonalise(matrix: &mut [f64], turn: &mut [f64], m: usize) {
+    turn[..m * m].fill(0.0);
+    (0..m).for_each(|a| turn[a * m + a] = 1.0);
+    for _ in 0..ROTATIONS {
+        let mut off = 0.0_f64;
+        for p in 0..m {
+            for q in p + 1..m {
+                let (app, aqq, apq) = (matrix[p * m + p], matrix[q * m + q], matrix[p * m + q]);
+                if apq.abs() <= f64::EPSILON * (app.abs() + aqq.abs()) {
+                    continue;
+                }
+                off = off.max(apq.abs());
+                let theta = (aqq - app) / (2.0 * apq);
+                let t = theta.signum() / (theta.abs() + theta.hypot(1.0));
+                let c = 1.0 / t.hypot(1.0);
+                let s = t * c;
+                for k in 0..m {
+                    let (kp, kq) = (matrix[k * m + p], matrix[k * m + q]);
+                    matrix[k * m + p] = c * kp - s * kq;
+                    matrix[k * m + q] = s * kp + c * kq;
+                }
+                for k in 0..m {
+                    let (pk, qk) = (matrix[p * m + k], matrix[q * m + k]);
+                    matrix[p * m + k] = c * pk - s * qk;
+                    matrix[q * m + k] = s * pk + c * qk;
+                    let (tp, tq) = (turn[p * m + k], turn[q * m + k]);
+                    turn[p * m + k] = c * tp - s * tq;
+                    turn[q * m + k] = s * tp + c * tq;
+                }
+            }
+        }
+        if off == 0.0 {
+            break;
+        }
+    }
+}

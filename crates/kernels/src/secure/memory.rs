@@ -1,0 +1,303 @@
+//! What is remembered of every sensor: whether it lies, in what habit, and what it injects.
+//!
+//! ```text
+//!     habits     every habit e is a two-state chain per sensor; their weights are shared by all sensors
+//!                p_e⁻ = p_e (1 − recovery_e) + (1 − p_e) onset_e,   π = Σ w_e duty_e p_e⁻
+//!     injection  b, s of a steady lie: begun just now N(0, σ₀²), going on N(b, s + q), or what was sent wildly before,
+//!                merged to the first two moments
+//! ```
+
+use crate::Result;
+use crate::codec::{Decoder, Encoder};
+use crate::kalman::heard::Heard;
+use crate::mixture::sample::Sample;
+use crate::secure::labels::{Labels, Prior};
+use crate::secure::settings::Settings;
+
+/// Beliefs about a sensor are kept this far from certainty.
+const CERTAIN: f64 = 1e-6;
+
+/// What is remembered.
+#[derive(Debug, Clone)]
+pub struct Memory {
+    sensors: usize,
+    /// Weight of every habit.
+    weight: Vec<f64>,
+    /// Belief that a sensor lies, by habit and sensor.
+    lying: Vec<f64>,
+    /// Belief that a sensor lies steadily; that it lied wildly at its latest sample; s; v of that sample.
+    steady: Vec<f64>,
+    wild: Vec<f64>,
+    spread: Vec<f64>,
+    open: Vec<f64>,
+    /// b and the latest residual, by channel of the plant, in its units.
+    bias: Vec<f64>,
+    latest: Vec<f64>,
+    /// Lies of late: count, sum of squares; sum by channel within a sensor.
+    cluster: Vec<f64>,
+    sum: Vec<f64>,
+    /// log of what the accusation of a sensor cost when it was raised, 0 where it is honest.
+    paid: Vec<f64>,
+    /// Samples in a row with too many accused.
+    pub violated: u64,
+}
+
+impl Memory {
+    /// Before the first sample.
+    #[must_use]
+    pub fn new(settings: &Settings, sensors: usize, channels: usize, widest: usize) -> Self {
+        let sensor = || vec![0.0; sensors];
+        let mut memory = Self {
+            sensors,
+            weight: settings.habits.iter().map(|habit| habit.weight).collect(),
+            lying: vec![0.0; settings.habits.len() * sensors],
+            steady: sensor(),
+            wild: sensor(),
+            spread: sensor(),
+            open: sensor(),
+            bias: vec![0.0; channels],
+            latest: vec![0.0; channels],
+            cluster: vec![0.0; 2],
+            sum: vec![0.0; widest],
+            paid: sensor(),
+            violated: 0,
+        };
+        memory.clear(settings);
+        memory
+    }
+
+    /// Forget everything but how sensors use to lie.
+    pub fn clear(&mut self, settings: &Settings) {
+        for (e, habit) in settings.habits.iter().enumerate() {
+            self.lying[e * self.sensors..(e + 1) * self.sensors].fill(habit.onset);
+        }
+        for numbers in [&mut self.steady, &mut self.wild, &mut self.bias, &mut self.latest, &mut self.cluster, &mut self.sum]
+        {
+            numbers.fill(0.0);
+        }
+        self.spread.fill(settings.bias.0);
+        self.open.fill(1.0);
+        self.paid.fill(0.0);
+        self.violated = 0;
+    }
+
+    /// Overwrite with `other`, without allocation.
+    pub fn copy_from(&mut self, other: &Self) {
+        self.weight.copy_from_slice(&other.weight);
+        self.lying.copy_from_slice(&other.lying);
+        self.steady.copy_from_slice(&other.steady);
+        self.wild.copy_from_slice(&other.wild);
+        self.spread.copy_from_slice(&other.spread);
+        self.open.copy_from_slice(&other.open);
+        self.bias.copy_from_slice(&other.bias);
+        self.latest.copy_from_slice(&other.latest);
+        self.cluster.copy_from_slice(&other.cluster);
+        self.sum.copy_from_slice(&other.sum);
+        self.paid.copy_from_slice(&other.paid);
+        self.violated = other.violated;
+    }
+
+    /// Every chain and injection one sample on: before the sample is seen.
+    #[inline(always)]
+    pub fn move_on(&mut self, settings: &Settings, heard: &Heard) {
+        for (lying, habit) in self.lying.chunks_exact_mut(self.sensors).zip(&settings.habits) {
+            for p in lying {
+                *p = *p * (1.0 - habit.recovery) + (1.0 - *p) * habit.onset;
+            }
+        }
+        let _ = heard;
+        let (begin, settle, end) = settings.steady;
+        let (first, change) = settings.bias;
+        let mut channel = 0;
+        let sizes = &settings.sizes;
+        for i in 0..self.sensors {
+            let size = sizes[i];
+            let range = channel..channel + size;
+            channel += size;
+            if settings.protected[i] {
+                continue;
+            }
+            let honest = (1.0 - self.steady[i] - self.wild[i]).max(0.0);
+            let (on, new, from) = (self.steady[i] * (1.0 - end), honest * begin, self.wild[i] * settle);
+            let sum = on + new + from;
+            let mut spread = (on * (self.spread[i] + change) + new * first + from * (self.open[i] + change)) / sum;
+            for a in range {
+                let (b, latest) = (self.bias[a] / settings.deviations[a], self.latest[a] / settings.deviations[a]);
+                let mean = (on * b + from * latest) / sum;
+                spread += ((on * b * b + from * latest * latest) / sum - mean * mean).max(0.0) / size as f64;
+                self.bias[a] = mean * settings.deviations[a];
+            }
+            self.steady[i] = sum;
+            self.wild[i] = 0.0;
+            self.spread[i] = spread;
+        }
+    }
+
+    /// What to expect of the sensors that arrived.
+    #[inline(always)]
+    pub fn expect(&self, settings: &Settings, heard: &Heard, sample: &Sample, prior: &mut Prior) {
+        let channels = heard.channels();
+        for (place, &channel) in channels.iter().enumerate() {
+            prior.bias[place] = self.bias[channel];
+        }
+        heard.whitening().apply(&mut prior.bias[..channels.len()]);
+        for (index, one) in sample.arrived.iter().enumerate() {
+            let i = one.sensor;
+            let lies = self.lies(settings, i).clamp(CERTAIN, 1.0 - CERTAIN);
+            let steady = self.steady[i].min(1.0 - CERTAIN);
+            prior.biased[index] = steady;
+            prior.wild[index] = (1.0 - steady) * lies;
+            prior.honest[index] = (1.0 - steady) * (1.0 - lies);
+            prior.spread[index] = self.spread[i];
+        }
+        let (count, square) = (self.cluster[0], self.cluster[1]);
+        let widest = sample.widest;
+        for (target, sum) in prior.cluster[..widest].iter_mut().zip(&self.sum) {
+            *target = sum / (count + 1.0);
+        }
+        prior.cluster_spread = settings.cluster_spread(count, square, &prior.cluster[..widest]);
+    }
+
+    /// What all present accusations cost, as a log.
+    #[must_use]
+    pub fn debt(&self) -> f64 {
+        self.paid.iter().sum()
+    }
+
+    /// π of a sensor.
+    #[inline(always)]
+    fn lies(&self, settings: &Settings, i: usize) -> f64 {
+        let habits = settings.habits.iter().zip(&self.weight).enumerate();
+        habits.map(|(e, (habit, weight))| weight * habit.duty * self.lying[e * self.sensors + i]).sum()
+    }
+
+    /// Remember what was believed of the sensors that arrived.
+    #[inline(always)]
+    pub fn remember(&mut self, settings: &Settings, heard: &Heard, sample: &Sample, labels: &Labels) {
+        let rate: f64 = settings.habits.iter().zip(&self.weight).map(|(habit, weight)| weight * habit.onset).sum();
+        let price = (rate + settings.steady.0).ln();
+        self.weigh_habits(settings, sample, labels);
+        self.cluster[0] *= settings.cluster;
+        self.cluster[1] *= settings.cluster;
+        self.sum.iter_mut().for_each(|sum| *sum *= settings.cluster);
+        for (index, one) in sample.arrived.iter().enumerate() {
+            if one.protected {
+                continue;
+            }
+            let i = one.sensor;
+            let (honest, biased) = (labels.honest[index], labels.biased[index]);
+            let wild = (1.0 - honest - biased).max(0.0);
+            let range = one.first..one.first + one.size;
+            let v = labels.v[range].iter().sum::<f64>() / one.size as f64;
+            let gain = self.spread[i] / (self.spread[i] + v);
+            self.cluster[0] += wild;
+            for a in 0..one.size {
+                let white = labels.unturned(one, a);
+                self.cluster[1] += wild * white * white;
+                self.sum[a] += wild * white;
+            }
+            for a in 0..one.size {
+                let row = heard.whitening().row(one.first + a);
+                let from = a + 1 - row.len();
+                let raw: f64 = row.iter().enumerate().map(|(b, l)| l * labels.unturned(one, from + b)).sum();
+                let channel = heard.channels()[one.first + a];
+                self.latest[channel] = raw;
+                self.bias[channel] += gain * (raw - self.bias[channel]);
+            }
+            self.spread[i] *= 1.0 - gain;
+            self.open[i] = v;
+            self.steady[i] = biased;
+            self.wild[i] = wild;
+            self.paid[i] = match (honest > 0.5, self.paid[i] < 0.0) {
+                (true, _) => 0.0,
+                (false, false) => price,
+                (false, true) => self.paid[i].max(price),
+            };
+        }
+    }
+
+    #[inline(always)]
+    fn weigh_habits(&mut self, settings: &Settings, sample: &Sample, labels: &Labels) {
+        let (forgetting, share) = settings.forgetting;
+        let mut largest = f64::NEG_INFINITY;
+        for (e, habit) in settings.habits.iter().enumerate() {
+            let mut log = forgetting * self.weight[e].max(f64::MIN_POSITIVE).ln();
+            for (index, one) in sample.arrived.iter().enumerate() {
+                if one.protected {
+                    continue;
+                }
+                let [honest, biased, wild] = labels.density[index];
+                let steady = self.steady[one.sensor]; // before it is remembered: the prior
+                let not = ((1.0 - steady) * honest + steady * biased).max(f64::MIN_POSITIVE);
+                let ratio = (wild / not).clamp(1e-13, 1e13);
+                let ratio = 1.0 - habit.duty + habit.duty * ratio;
+                let p = &mut self.lying[e * self.sensors + one.sensor];
+                let sum = *p * ratio + 1.0 - *p;
+                log += sum.ln();
+                *p = *p * ratio / sum;
+            }
+            self.weight[e] = log;
+            largest = largest.max(log);
+        }
+        let mut sum = 0.0;
+        for weight in &mut self.weight {
+            *weight = (*weight - largest).exp();
+            sum += *weight;
+        }
+        for (weight, habit) in self.weight.iter_mut().zip(&settings.habits) {
+            *weight = (1.0 - share) * *weight / sum + share * habit.weight;
+        }
+    }
+
+    /// Write everything.
+    pub fn save(&self, to: &mut Encoder) {
+        for numbers in [
+            &self.weight,
+            &self.lying,
+            &self.steady,
+            &self.wild,
+            &self.spread,
+            &self.open,
+            &self.bias,
+            &self.latest,
+            &self.cluster,
+            &self.sum,
+            &self.paid,
+        ] {
+            to.floats(numbers);
+        }
+        to.integer(self.violated);
+    }
+
+    /// Read it back.
+    ///
+    /// # Errors
+    /// [`crate::Error::Resume`] if the bytes do not fit.
+    pub fn load(&mut self, from: &mut Decoder<'_>) -> Result<()> {
+        for numbers in [
+            &mut self.weight,
+            &mut self.lying,
+            &mut self.steady,
+            &mut self.wild,
+            &mut self.spread,
+            &mut self.open,
+            &mut self.bias,
+            &mut self.latest,
+            &mut self.cluster,
+            &mut self.sum,
+            &mut self.paid,
+        ] {
+            from.floats(numbers)?;
+        }
+        self.violated = from.integer()?;
+        Ok(())
+    }
+}
+
+impl Memory {
+    /// b and the latest residual by channel of the plant, s and v of a sensor.
+    #[must_use]
+    pub fn injection(&self, sensor: usize) -> (&[f64], &[f64], f64, f64) {
+        (&self.bias, &self.latest, self.spread[sensor], self.open[sensor])
+    }
+}
