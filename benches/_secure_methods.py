@@ -1,0 +1,47 @@
+"""Who takes part in `benches.secure_filter`: the oracle, all methods, variants of some."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import partial
+
+import securestate
+from securestate import Estimator, InnovationMixture, JointFusion, MixtureFusion, OracleFilter, Plant
+from securestate.estimators.registry import METHODS
+
+Design = Callable[[Plant], Estimator | OracleFilter]
+
+ORACLE = "oracle"
+#: Their design takes longer than all that the others do; they get this share of the runs.
+SLOW, SHARE = frozenset({"bias-monitor"}), 0.25
+
+#: Settings that are sensible for some plants and not the default.
+_VARIANTS: Mapping[str, Design] = {
+    "innovation-mixture sticky": partial(InnovationMixture, memory="sticky"),
+    "innovation-mixture monitor": partial(InnovationMixture, monitor=0.95),
+    "joint adaptive": partial(JointFusion, eta="adaptive"),
+    "mixture repaired": partial(
+        MixtureFusion, epsilon="none", init="median", mean="precision", floor="prior", feedback=True
+    ),
+}
+
+
+def methods() -> dict[str, Design]:
+    """All of them by name, the oracle first and the one that is judged second."""
+    known: dict[str, Design] = {name: method.design for name, method in METHODS.items()} | dict(_VARIANTS)
+    secure = getattr(securestate, "SecureFilter", None)
+    if secure is not None and secure not in known.values():
+        known["secure"] = secure
+    first = judged(known)
+    return {ORACLE: OracleFilter, first: known[first]} | known
+
+
+def judged(known: Mapping[str, Design]) -> str:
+    """The method that the others are held against: `SecureFilter` once there is one."""
+    secure = getattr(securestate, "SecureFilter", None)
+    return next((name for name, design in known.items() if design is secure), "innovation-mixture")
+
+
+def runs_of(method: str, runs: int) -> int:
+    """How many of the runs a method gets."""
+    return max(1, round(SHARE * runs)) if method in SLOW else runs

@@ -1,0 +1,156 @@
+"""One run scored, and the runs of a cell summed up."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import stdtrit
+
+from benches._secure_cells import Cell, Episode, episode
+from benches._secure_methods import ORACLE, Design, methods
+from securestate import SecurestateError, SecurestateWarning, Status
+from securestate.simulation.metrics import PER_RUN, score
+
+Float = NDArray[np.float64]
+
+#: What is kept of a run under a method; numbers of samples with each status follow.
+KEPT = ("mse", "nees", "honest", "false_alarms", "lies", "detections", "seconds")
+_COLUMNS = [PER_RUN.index(name) for name in KEPT[:-1]]
+LEVEL = 0.95
+
+
+@dataclass(frozen=True)
+class Result:
+    """The runs of one method in one cell.
+
+    Attributes:
+        rows: numbers of every run, in the order of `KEPT`, then how often each status came.
+        refused: why the method does not take part; empty: it does.
+    """
+
+    rows: list[list[float]] = field(default_factory=list)
+    refused: str = ""
+
+    def column(self, name: str) -> Float:
+        """One number of every run."""
+        return np.array([row[KEPT.index(name)] for row in self.rows], dtype=np.float64)
+
+    @property
+    def statuses(self) -> dict[str, int]:
+        """How many samples had each status, those that came at all."""
+        counts = np.sum([row[len(KEPT) :] for row in self.rows], axis=0)
+        return {status.name: int(n) for status, n in zip(Status, counts, strict=True) if n}
+
+
+Results = dict[str, Result]
+
+
+def attempt(cell: Cell, seed: int, names: Sequence[str]) -> Results:
+    """One run of a cell by every method named, which all see the same one."""
+    drawn, known = episode(cell, seed), methods()
+    return {name: _one(drawn, known[name]) for name in names}
+
+
+def _one(drawn: Episode, design: Design) -> Result:
+    begin = time.process_time()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", SecurestateWarning)  # limits of a plant, doubtful windows
+            estimator = design(drawn.trajectory.plant)
+            run, met = drawn.confront(estimator)
+    except SecurestateError as error:
+        return Result(refused=str(error))
+    seconds = time.process_time() - begin
+    numbers = score(run, met, drawn.scored).per_run[0, _COLUMNS]
+    counts = np.bincount(run.status[0, drawn.scored :], minlength=len(Status))
+    return Result([[*numbers.tolist(), seconds, *counts.tolist()]])
+
+
+def join(parts: Sequence[Results]) -> Results:
+    """The runs of all parts in order; who refuses once is out."""
+    names = list(dict.fromkeys(name for part in parts for name in part))
+    joined = {}
+    for name in names:
+        own = [part[name] for part in parts if name in part]
+        refused = next((one.refused for one in own if one.refused), "")
+        joined[name] = Result([] if refused else [row for one in own for row in one.rows], refused)
+    return joined
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A method in a cell.
+
+    Attributes:
+        runs: how many.
+        ratio, error: mean squared error over the oracle's on the same runs, and its standard error.
+        honest, attacked: share of sensor-samples under suspicion, of honest sensors and of those that lied.
+        nees: mean of e' P^-1 e / n, and the 95 % interval of that mean from the spread between runs.
+        statuses: how many samples had each status.
+        milliseconds: design, run and nothing else, per run.
+    """
+
+    runs: int
+    ratio: float
+    error: float
+    honest: float
+    attacked: float
+    nees: tuple[float, float, float]
+    statuses: Mapping[str, int]
+    milliseconds: float
+
+
+def summarise(results: Results) -> dict[str, Summary]:
+    """Every method that took part, in the order of the results."""
+    oracle = results[ORACLE].column("mse")
+    return {name: _summary(one, oracle) for name, one in results.items() if one.rows}
+
+
+def _summary(one: Result, oracle: Float) -> Summary:
+    mse = one.column("mse")
+    ratio, error = relative(mse, oracle)
+    with np.errstate(all="ignore"):
+        honest = one.column("false_alarms").sum() / one.column("honest").sum()
+        attacked = one.column("detections").sum() / one.column("lies").sum()
+        nees = one.column("nees")
+        half = float(stdtrit(len(nees) - 1, (1 + LEVEL) / 2) * nees.std(ddof=1) / np.sqrt(len(nees)))
+    mean = float(nees.mean())
+    seconds = float(one.column("seconds").mean())
+    interval = (mean, mean - half, mean + half)
+    return Summary(
+        len(mse), ratio, error, float(honest), float(attacked), interval, one.statuses, 1e3 * seconds
+    )
+
+
+def relative(mse: Float, other: Float) -> tuple[float, float]:
+    """Mean over mean of the other's first runs, which are the same ones, and its standard error."""
+    other = other[: len(mse)]
+    with np.errstate(all="ignore"):
+        ratio = float(mse.mean() / other.mean())
+        if len(mse) < 2 or not np.isfinite(ratio):
+            return ratio, float("nan")
+        spread = (mse / mse.mean() - other / other.mean()).std(ddof=1)
+    return ratio, float(ratio * spread / np.sqrt(len(mse)))
+
+
+def against_best(results: Results, name: str) -> tuple[float, str]:
+    """Its mean squared error over that of the best other method on the same runs, and who that is.
+
+    The oracle does not count.
+    """
+    own = results[name].column("mse")
+    rivals = {}
+    for other, one in results.items():
+        if other in (name, ORACLE) or not one.rows:
+            continue
+        common = min(len(own), len(one.rows))
+        rivals[other] = relative(own[:common], one.column("mse"))[0]
+    if not rivals:
+        return float("nan"), ""
+    best = max(rivals, key=lambda other: (np.nan_to_num(rivals[other], nan=-np.inf), other))
+    return rivals[best], best
