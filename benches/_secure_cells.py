@@ -225,9 +225,10 @@ class Episode:
         if type(estimator).run is not Estimator.run:
             return estimator.run(y, prior="window")
         first = self._window
-        begun = window_run(estimator, first, covariance=True)
-        rest = start_after(estimator, first).run(y[0, first.samples :])
-        return batch_of_one(Run.concat([begun, rest]))
+        blocks = [window_run(estimator, first, covariance=True)]
+        if first.samples < y.shape[1]:
+            blocks.append(start_after(estimator, first).run(y[0, first.samples :]))
+        return batch_of_one(Run.concat(blocks))
 
     @cached_property
     def _window(self) -> ColdStart:
@@ -262,12 +263,13 @@ def episode(cell: Cell, seed: int) -> Episode:
 
 def drawn(name: str, rng: Generator) -> Plant:
     """A plant of this kind."""
-    return FAMILIES[FAMILY[name]](rng) if name in FAMILY else _of_paper(PAPER[name])
+    return FAMILIES[FAMILY[name]](rng) if name in FAMILY else of_paper(name)
 
 
 @cache
-def _of_paper(folder: str) -> Plant:
-    return Plant.load(PAPERS / folder / "plant.toml")
+def of_paper(name: str) -> Plant:
+    """The plant of a paper, always the same object."""
+    return Plant.load(PAPERS / PAPER[name] / "plant.toml")
 
 
 def _steady(plant: Plant) -> Belief:

@@ -6,14 +6,16 @@ from collections.abc import Callable, Mapping
 from functools import partial
 
 import securestate
+from benches._secure_cells import FAMILY, Cell
 from securestate import Estimator, InnovationMixture, JointFusion, MixtureFusion, OracleFilter, Plant
 from securestate.estimators.registry import METHODS
 
 Design = Callable[[Plant], Estimator | OracleFilter]
 
 ORACLE = "oracle"
-#: Their design takes longer than all that the others do; they get this share of the runs.
-SLOW, SHARE = frozenset({"bias-monitor"}), 0.25
+#: Their design takes longer than all that the others do. Where every run has its own plant they get this
+#: share of the runs, and at least so many.
+SLOW, SHARE, LEAST = frozenset({"bias-monitor"}), 0.25, 5
 
 #: Settings that are sensible for some plants and not the default.
 _VARIANTS: Mapping[str, Design] = {
@@ -42,6 +44,7 @@ def judged(known: Mapping[str, Design]) -> str:
     return next((name for name, design in known.items() if design is secure), "innovation-mixture")
 
 
-def runs_of(method: str, runs: int) -> int:
+def runs_of(method: str, cell: Cell, runs: int) -> int:
     """How many of the runs a method gets."""
-    return max(1, round(SHARE * runs)) if method in SLOW else runs
+    few = method in SLOW and cell.plant in FAMILY
+    return min(runs, max(LEAST, round(SHARE * runs))) if few else runs

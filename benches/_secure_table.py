@@ -27,7 +27,7 @@ def cell_rows(results: Results) -> Rows:
 
 
 def _cell_row(name: str, one: Summary, results: Results) -> tuple[str, ...]:
-    over, best = ("", "") if name == ORACLE else _over(results, name)
+    over, _, best = (0.0, 0.0, "") if name == ORACLE else against_best(results, name)
     mean, low, high = one.nees
     return (
         name,
@@ -38,15 +38,10 @@ def _cell_row(name: str, one: Summary, results: Results) -> tuple[str, ...]:
         _share(one.attacked),
         short(mean),
         f"{short(low)}–{short(high)}",
-        f"{over} ({best})" if best else "",
+        f"{short(over)} ({best})" if best else "",
         ", ".join(f"{status} {n}" for status, n in one.statuses.items() if status != "OK"),
         short(one.milliseconds),
     )
-
-
-def _over(results: Results, name: str) -> tuple[str, str]:
-    over, best = against_best(results, name)
-    return short(over), best
 
 
 def overview(cells: Mapping[str, Results]) -> tuple[tuple[str, ...], Rows]:
@@ -108,10 +103,26 @@ def beaten_rows(cells: Mapping[str, Results], judged: str) -> Rows:
     lost = []
     for line, results in cells.items():
         if judged in results and results[judged].rows:
-            over, best = against_best(results, judged)
+            over, error, best = against_best(results, judged)
             if over > 1:
-                lost.append((over, line, best))
-    return [(line, short(over), best) for over, line, best in sorted(lost, reverse=True)]
+                lost.append((over, error, line, best))
+    return [
+        (line, short(over), short(error), best)
+        for over, error, line, best in sorted(lost, key=lambda loss: -loss[0])
+    ]
+
+
+def refusals(cells: Mapping[str, Results]) -> Rows:
+    """Which methods take no part, where, and why."""
+    found: dict[tuple[str, str], list[str]] = {}
+    for line, results in cells.items():
+        for name, one in results.items():
+            if one.refused:
+                found.setdefault((name, one.refused.partition(";")[0]), []).append(line)
+    return [
+        (name, f"{len(lines)}: {lines[0]}, …" if len(lines) > 1 else lines[0], reason)
+        for (name, reason), lines in found.items()
+    ]
 
 
 def _names(cells: Mapping[str, Results]) -> list[str]:
@@ -122,16 +133,17 @@ def _names(cells: Mapping[str, Results]) -> list[str]:
 def report(cells: Mapping[str, Results], judged: str) -> str:
     """All of it but the single cells, in Markdown."""
     columns, rows = overview(cells)
-    parts: Sequence[tuple[str, Sequence[str], Rows]] = (
+    parts: list[tuple[str, Sequence[str], Rows]] = [
         ("MSE/oracle", columns, rows),
         ("Over all cells", SUMMARY_COLUMNS, summary_rows(cells)),
         (f"Worst cells of {judged}", ("cell", "MSE/oracle", "±", "the best"), worst_rows(cells, judged)),
         (
             f"Where {judged} is not the best",
-            ("cell", "times the best", "which is"),
+            ("cell", "times the best", "±", "which is"),
             beaten_rows(cells, judged),
         ),
-    )
+        ("Who takes no part", ("method", "cells", "why"), refusals(cells)),
+    ]
     lines = [[f"## {title}", *table.markdown(head, body), ""] for title, head, body in parts]
     return "\n".join(line for part in lines for line in part)
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import signal
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -62,11 +63,9 @@ class Plan:
 
 def work(plan: Plan, cell: Cell, numbers: range) -> Results:
     """Some runs of a cell."""
+    share = {name: runs_of(name, cell, plan.runs) for name in plan.names}
     return join(
-        [
-            attempt(cell, plan.first_seed + r, [n for n in plan.names if r < runs_of(n, plan.runs)])
-            for r in numbers
-        ]
+        [attempt(cell, plan.first_seed + r, [n for n in plan.names if r < share[n]]) for r in numbers]
     )
 
 
@@ -74,9 +73,9 @@ def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     known = methods()
     unknown = set(options.methods or ()) - set(known)
-    cells = [cell for cell in CELLS if options.cells in cell.name]
+    cells = [cell for cell in CELLS if re.search(options.cells, cell.name)]
     if unknown or not cells:
-        what = f"methods {', '.join(sorted(unknown))}" if unknown else f"cell with {options.cells!r}"
+        what = f"methods {', '.join(sorted(unknown))}" if unknown else f"cell as {options.cells!r}"
         print(f"No such {what}. Methods: {', '.join(known)}.", file=sys.stderr)
         return 2
     names = [name for name in known if options.methods is None or name in (ORACLE, *options.methods)]
@@ -106,7 +105,12 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--first-seed", type=int, default=0, help="seed of the first run; the next has the next"
     )
-    parser.add_argument("--cells", default="", metavar="TEXT", help="only cells with this in their name")
+    parser.add_argument(
+        "--cells",
+        default="",
+        metavar="PATTERN",
+        help="only cells in whose name this regular expression is found",
+    )
     parser.add_argument("--methods", type=lambda text: text.split(","), help="only these, comma between them")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="keep the numbers of every run")
@@ -162,11 +166,14 @@ def _print(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], co
 
 def _finish(done: Mapping[str, Results], judge: str, plan: Plan) -> None:
     print(f"{len(done)} of {len(plan.cells)} cells, {plan.runs} runs each from seed {plan.first_seed} on.")
-    few = {name: runs_of(name, plan.runs) for name in plan.names if runs_of(name, plan.runs) < plan.runs}
-    if few:
-        print(
-            "Fewer runs, because they are slow: " + ", ".join(f"{name} {n}" for name, n in few.items()) + "."
-        )
+    few = {
+        name: n
+        for cell in plan.cells
+        for name in plan.names
+        if (n := runs_of(name, cell, plan.runs)) < plan.runs
+    }
+    for name, n in few.items():
+        print(f"{name} is slow to design: {n} runs where every run has its own plant.")
     if done:
         print(_secure_table.report(done, judge))
 
