@@ -7,12 +7,15 @@ from functools import partial
 
 import securestate
 from benches._secure_cells import FAMILY, Cell
+from benches._secure_limit import WAYS
 from securestate import Estimator, InnovationMixture, JointFusion, MixtureFusion, OracleFilter, Plant
 from securestate.estimators.registry import METHODS
 
 Design = Callable[[Plant], Estimator | OracleFilter]
 
 ORACLE = "oracle"
+#: What no method can be held against, because it is told what they are not.
+TOLD = frozenset({ORACLE, *WAYS})
 #: Their design takes longer than all that the others do. Where every run has its own plant they get this
 #: share of the runs, and at least so many.
 SLOW, SHARE, LEAST = frozenset({"bias-monitor"}), 0.25, 5

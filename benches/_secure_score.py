@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from benches._secure_cells import PAPER, Cell, Episode, episode, of_paper
-from benches._secure_methods import ORACLE, Design, methods
+from benches._secure_limit import WAYS, Way, limit
+from benches._secure_methods import ORACLE, TOLD, Design, methods
 from securestate import Estimator, OracleFilter, SecurestateError, SecurestateWarning, Status
 from securestate.simulation.metrics import PER_RUN, score
 
@@ -52,7 +53,20 @@ Results = dict[str, Result]
 
 
 def attempt(cell: Cell, seed: int, names: Sequence[str]) -> Results:
-    """One run of a cell by every method named, which all see the same one."""
+    """One run of a cell by every method named, and the limits; all see the same one."""
+    limits = {name: _limit(cell, seed, WAYS[name]) for name in names if name in WAYS}
+    return _attempts(cell, seed, [name for name in names if name not in WAYS]) | limits
+
+
+def _limit(cell: Cell, seed: int, way: Way) -> Result:
+    """It knows neither whom to suspect nor a covariance to check, so that only its error counts."""
+    begin = time.process_time()
+    mse = limit(cell, seed, way)
+    none = [float("nan"), 0.0, 0.0, 0.0, 0.0, time.process_time() - begin, *[0.0] * len(Status)]
+    return Result([[mse, *none]])
+
+
+def _attempts(cell: Cell, seed: int, names: Sequence[str]) -> Results:
     drawn, known = episode(cell, seed), methods()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SecurestateWarning)  # limits of a plant, doubtful windows
@@ -161,12 +175,12 @@ def relative(mse: Float, other: Float) -> tuple[float, float]:
 def against_best(results: Results, name: str) -> tuple[float, float, str]:
     """Its mean squared error over that of the best other method on the same runs, its error, and who that is.
 
-    The oracle does not count.
+    Who is told more than readings does not count.
     """
     own = results[name].column("mse")
     rivals = {}
     for other, one in results.items():
-        if other in (name, ORACLE) or not one.rows:
+        if other == name or other in TOLD or not one.rows:
             continue
         common = min(len(own), len(one.rows))
         rivals[other] = relative(own[:common], one.column("mse"))

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from benches import table
-from benches._secure_methods import ORACLE
+from benches._secure_methods import TOLD
 from benches._secure_score import Results, Summary, against_best, summarise
 
 CELL_COLUMNS = (
@@ -27,7 +27,7 @@ def cell_rows(results: Results) -> Rows:
 
 
 def _cell_row(name: str, one: Summary, results: Results) -> tuple[str, ...]:
-    over, _, best = (0.0, 0.0, "") if name == ORACLE else against_best(results, name)
+    over, _, best = (0.0, 0.0, "") if name in TOLD else against_best(results, name)
     mean, low, high = one.nees
     return (
         name,
@@ -93,7 +93,7 @@ def worst_rows(cells: Mapping[str, Results], judged: str) -> Rows:
 
 
 def _best(results: Results) -> str:
-    found = {name: one.ratio for name, one in summarise(results).items() if name != ORACLE}
+    found = {name: one.ratio for name, one in summarise(results).items() if name not in TOLD}
     best = min(found, key=lambda name: (found[name], name))
     return f"{best}: {short(found[best])}"
 

@@ -6,6 +6,9 @@ of the oracle, the Kalman filter that is told who lies, on the same runs. A run 
 cell only. In a cold cell nothing is known at the first attacked sample: every method starts from a window of
 samples (`run(y, prior="window")`), whose smoothed states count too, the oracle from a wide belief.
 
+--limit adds, in cells of scalar plants whose liars change at every sample, the exact Bayesian estimates of
+`_secure_limit.py`: which of these cells leave room for a better method, and which do not.
+
 Nothing is kept without --out. With it, the file is written anew after every cell, and --resume goes on with
 the cells that it lacks; say so only if the estimators have not changed since.
 """
@@ -33,6 +36,7 @@ from threadpoolctl import threadpool_limits
 
 from benches import _secure_table, machine, table
 from benches._secure_cells import CELLS, Cell
+from benches._secure_limit import CELLS_WITH_LIMIT, WAYS
 from benches._secure_methods import ORACLE, judged, methods, runs_of
 from benches._secure_score import KEPT, Result, Results, attempt, join
 
@@ -72,13 +76,17 @@ def work(plan: Plan, cell: Cell, numbers: range) -> Results:
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     known = methods()
+    judge = judged(known)
     unknown = set(options.methods or ()) - set(known)
-    cells = [cell for cell in CELLS if re.search(options.cells, cell.name)]
+    cells = [
+        cell for cell in (CELLS_WITH_LIMIT if options.limit else CELLS) if re.search(options.cells, cell.name)
+    ]
     if unknown or not cells:
         what = f"methods {', '.join(sorted(unknown))}" if unknown else f"cell as {options.cells!r}"
         print(f"No such {what}. Methods: {', '.join(known)}.", file=sys.stderr)
         return 2
-    names = [name for name in known if options.methods is None or name in (ORACLE, *options.methods)]
+    chosen = [ORACLE, *(options.methods or ([judge] if options.limit else known))]
+    names = [name for name in known if name in chosen] + (list(WAYS) if options.limit else [])
     plan = Plan(cells, names, options.runs, options.first_seed)
     done = read(options.out, plan) if options.resume else {}
     console = Console(width=None if sys.stdout.isatty() else WIDTH)
@@ -93,7 +101,7 @@ def main(arguments: list[str] | None = None) -> int:
                 write(options.out, plan, done)
     except KeyboardInterrupt:
         whole = False
-    _finish(done, next((n for n in (judged(known), *names[1:]) if n in names), ORACLE), plan)
+    _finish(done, judge if judge in names else names[1], plan)
     return 0 if whole else 130
 
 
@@ -114,6 +122,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--methods", type=lambda text: text.split(","), help="only these, comma between them")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="keep the numbers of every run")
+    parser.add_argument(
+        "--limit", action="store_true", help="also what no estimator can beat, where that can be computed"
+    )
     parser.add_argument("--resume", action="store_true", help="do not repeat the cells that --out has")
     return parser
 
