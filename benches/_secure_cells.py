@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, cached_property, partial
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -40,7 +41,7 @@ WIDE = 1e4
 FAMILY = {"scalar": "scalar", "partial4": "partial-planar", "full4": "full-planar"}
 PAPER = {"liu": "liu2020", "chen": "chen2022"}
 
-_ATTACK = {
+_ATTACK: Mapping[str, Callable[..., Attack]] = {
     "25pt": attacks.NoiseLinear,
     "26": partial(attacks.Reflection, "local"),
     "26c": partial(attacks.Reflection, "clean-local"),
@@ -179,7 +180,7 @@ class Cell:
         name, _, size = self.kind.partition(":")
         if name == "none":
             return None
-        who = {"on": self.targets, "start": CLEAN}
+        who: dict[str, Any] = {"on": self.targets, "start": CLEAN}
         return _SIZED[name](float(size), **who) if size else _ATTACK[name](**who)
 
     @property
@@ -237,7 +238,9 @@ class Episode:
 
 def batch_of_one(run: Run) -> Run:
     """The same run as a batch."""
-    arrays = {key: value[np.newaxis] for key, value in vars(run).items() if isinstance(value, np.ndarray)}
+    arrays: dict[str, Any] = {
+        key: value[np.newaxis] for key, value in vars(run).items() if isinstance(value, np.ndarray)
+    }
     diagnostics = {key: value[np.newaxis] for key, value in run.diagnostics.items()}
     return replace(run, **arrays, diagnostics=diagnostics)
 
@@ -253,7 +256,7 @@ def episode(cell: Cell, seed: int) -> Episode:
     trajectory = Simulator(plant, CLEAN + ATTACKED).run(cell.attack, seed=default_rng(of_run))
     if not cell.cold:
         return Episode(trajectory, CLEAN, cold=False)
-    late = {
+    late: dict[str, Any] = {
         name: np.ascontiguousarray(getattr(trajectory, name)[:, CLEAN:])
         for name in ("x", "u", "clean", "y", "a", "attacked")
     }

@@ -72,7 +72,11 @@ def _attempts(cell: Cell, seed: int, names: Sequence[str]) -> Results:
         warnings.simplefilter("ignore", SecurestateWarning)  # limits of a plant, doubtful windows
         if cell.plant not in PAPER:
             return {name: _one(drawn, known[name]) for name in names}
-        return {name: _one(drawn, lambda _, name=name: _of_paper(cell.plant, name)) for name in names}
+        return {name: _one(drawn, _once(cell.plant, name)) for name in names}
+
+
+def _once(kind: str, name: str) -> Design:
+    return lambda _: _of_paper(kind, name)
 
 
 @cache

@@ -125,7 +125,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--limit", action="store_true", help="also what no estimator can beat, where that can be computed"
     )
-    parser.add_argument("--resume", action="store_true", help="do not repeat the cells that --out has")
+    parser.add_argument(
+        "--resume", action="store_true", help="keep the cells that --out has, do not repeat them"
+    )
     return parser
 
 
@@ -176,7 +178,8 @@ def _print(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], co
 
 
 def _finish(done: Mapping[str, Results], judge: str, plan: Plan) -> None:
-    print(f"{len(done)} of {len(plan.cells)} cells, {plan.runs} runs each from seed {plan.first_seed} on.")
+    lacking = sum(cell.name not in done for cell in plan.cells)
+    print(f"{len(done)} cells, {plan.runs} runs each from seed {plan.first_seed} on; {lacking} are lacking.")
     few = {
         name: n
         for cell in plan.cells
@@ -202,11 +205,9 @@ def read(path: Path | None, plan: Plan) -> dict[str, Results]:
     kept = json.loads(path.read_text(encoding="utf-8"))
     if kept["settings"] != plan.settings:
         raise SystemExit(f"{path} was made with other settings: {kept['settings']}")
-    wanted = {cell.name for cell in plan.cells}
     return {
         line: {name: Result(**one) for name, one in results.items()}
         for line, results in kept["cells"].items()
-        if line in wanted
     }
 
 

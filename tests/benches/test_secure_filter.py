@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
+import securestate
 from benches import secure_filter
 from benches._secure_cells import CELLS, CLEAN, Cell, cell, episode
 from benches._secure_limit import CELLS_WITH_LIMIT, _Bayes, gaussian, limit, sets
-from benches._secure_methods import methods
+from benches._secure_methods import judged, methods
 from benches._secure_score import Result, against_best, attempt, relative
 from securestate import InnovationMixture, KalmanFilter, OracleFilter
 
@@ -178,6 +179,13 @@ def test_every_registered_method_takes_part_or_says_why_not() -> None:
     refused = attempt(named("liu bias:5 1 fixed"), SEED, ["joint", "kalman"])
     assert "protected" in refused["joint"].refused
     assert refused["kalman"].rows
+
+
+def test_the_secure_filter_is_judged_once_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(securestate, "SecureFilter", None, raising=False)
+    assert judged(methods()) == list(methods())[1] == "innovation-mixture"
+    monkeypatch.setattr(securestate, "SecureFilter", type("SecureFilter", (KalmanFilter,), {}))
+    assert judged(methods()) == list(methods())[1] == "secure"
 
 
 def test_ratios_are_of_the_same_runs() -> None:
