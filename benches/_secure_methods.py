@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 from collections.abc import Callable, Mapping
 from functools import partial
 
@@ -39,6 +40,26 @@ def methods() -> dict[str, Design]:
         known["secure"] = secure
     first = judged(known)
     return {ORACLE: OracleFilter, first: known[first]} | known
+
+
+def variant(name: str) -> Design | None:
+    """The method of this name, settings after a colon as in "gate:false_alarm_rate=.1"; None: there is none.
+
+    Several settings have a semicolon between them; a value is a literal of Python, or else a word.
+    """
+    base, _, settings = name.partition(":")
+    design = methods().get(base)
+    if design is None or not settings:
+        return design
+    pairs = (setting.partition("=") for setting in settings.split(";"))
+    return partial(design, **{key: _literal(value) for key, _, value in pairs})
+
+
+def _literal(text: str) -> object:
+    try:
+        return ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return text
 
 
 def judged(known: Mapping[str, Design]) -> str:

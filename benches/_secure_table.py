@@ -11,8 +11,8 @@ from benches._secure_methods import TOLD
 from benches._secure_score import Results, Summary, against_best, summarise
 
 CELL_COLUMNS = (
-    "method", "runs", "MSE/oracle", "± 1 s.e.", "honest suspected", "liars suspected", "NEES/n", "95 %",
-    "over the best", "status", "ms",
+    "method", "runs", "MSE/oracle", "± 1 s.e.", "median run", "honest suspected", "liars suspected", "NEES/n",
+    "95 %", "over the best", "status", "ms",
 )  # fmt: skip
 #: An estimator should stay below this many times the oracle's error, wherever the attack is survivable.
 TARGET = 1.5
@@ -34,6 +34,7 @@ def _cell_row(name: str, one: Summary, results: Results) -> tuple[str, ...]:
         str(one.runs),
         short(one.ratio),
         short(one.error),
+        short(one.median),
         _share(one.honest),
         _share(one.attacked),
         short(mean),

@@ -14,7 +14,7 @@ import securestate
 from benches import secure_filter
 from benches._secure_cells import CELLS, CLEAN, Cell, cell, episode
 from benches._secure_limit import CELLS_WITH_LIMIT, _Bayes, gaussian, limit, sets
-from benches._secure_methods import judged, methods
+from benches._secure_methods import judged, methods, variant
 from benches._secure_score import Result, against_best, attempt, relative
 from securestate import InnovationMixture, KalmanFilter, OracleFilter
 
@@ -186,6 +186,13 @@ def test_the_secure_filter_is_judged_once_there_is_one(monkeypatch: pytest.Monke
     assert judged(methods()) == list(methods())[1] == "innovation-mixture"
     monkeypatch.setattr(securestate, "SecureFilter", type("SecureFilter", (KalmanFilter,), {}))
     assert judged(methods()) == list(methods())[1] == "secure"
+
+
+def test_settings_stand_after_the_name() -> None:
+    names = ["innovation-mixture", "innovation-mixture:memory=sticky;kappa=5.0", "innovation-mixture sticky"]
+    plain, told, sticky = (attempt(named("chen drift:.3 2 fixed"), SEED, [name])[name] for name in names)
+    assert told.rows[0][:6] == sticky.rows[0][:6] != plain.rows[0][:6]
+    assert variant("no such method:kappa=5.0") is None
 
 
 def test_ratios_are_of_the_same_runs() -> None:
