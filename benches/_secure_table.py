@@ -95,6 +95,8 @@ def worst_rows(cells: Mapping[str, Results], judged: str) -> Rows:
 
 def _best(results: Results) -> str:
     found = {name: one.ratio for name, one in summarise(results).items() if name not in TOLD}
+    if not found:
+        return "—"
     best = min(found, key=lambda name: (found[name], name))
     return f"{best}: {short(found[best])}"
 
