@@ -80,7 +80,7 @@ def _short(value: float) -> str:
 
 def write(measurements: Sequence[Measurement], rounds: int, path: Path = RESULTS) -> None:
     """Keep the results, whole or not at all."""
-    lines = [COLUMNS, tuple("---" for _ in COLUMNS), *(row(measurement) for measurement in measurements)]
+    rows = [row(measurement) for measurement in measurements]
     text = "\n".join(
         [
             ABOUT.format(rounds=rounds),
@@ -88,10 +88,20 @@ def write(measurements: Sequence[Measurement], rounds: int, path: Path = RESULTS
             *(f"- {line}" for line in machine.describe()),
             "",
             "## Results",
-            *(f"| {' | '.join(line)} |" for line in lines),
+            *markdown(COLUMNS, rows),
             "",
         ]
     )
+    keep(text, path)
+
+
+def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
+    """The lines of a table."""
+    return [f"| {' | '.join(line)} |" for line in (columns, ["---"] * len(columns), *rows)]
+
+
+def keep(text: str, path: Path) -> None:
+    """Write a file, whole or not at all."""
     with NamedTemporaryFile("w", dir=path.parent, delete=False, encoding="utf-8") as file:
         file.write(text)
     Path(file.name).chmod(0o644)
