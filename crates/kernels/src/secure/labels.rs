@@ -20,7 +20,7 @@ use crate::secure::settings::Settings;
 const LEAST: f64 = 1e-14;
 
 /// Evidence that an accusation beyond the most possible costs.
-const MAJORITY: f64 = 1e3;
+pub const MAJORITY: f64 = 1e3;
 
 /// What is known of every sensor that arrived before its sample is judged.
 #[derive(Debug, Clone)]
@@ -31,10 +31,16 @@ pub struct Prior {
     pub biased: Vec<f64>,
     /// See `honest`.
     pub wild: Vec<f64>,
-    /// b, by channel heard, whitened.
+    /// Probability that it lies by a constant.
+    pub constant: Vec<f64>,
+    /// b of a steady lie, by channel heard, whitened.
     pub bias: Vec<f64>,
+    /// b of a constant one.
+    pub offset: Vec<f64>,
     /// s
     pub spread: Vec<f64>,
+    /// s of a constant one.
+    pub scatter: Vec<f64>,
     /// μ', by channel within a sensor, and τ'².
     pub cluster: Vec<f64>,
     /// τ'²
@@ -50,8 +56,11 @@ impl Prior {
             honest: room(),
             biased: room(),
             wild: room(),
+            constant: room(),
             bias: vec![0.0; channels],
+            offset: vec![0.0; channels],
             spread: room(),
+            scatter: room(),
             cluster: vec![0.0; widest],
             cluster_spread: 1.0,
         }
@@ -63,8 +72,10 @@ impl Prior {
 pub enum Label {
     /// It tells the truth.
     Honest,
-    /// It lies by what it lied before.
+    /// It lies by about what it lied before.
     Biased,
+    /// It lies by exactly what it lied before.
+    Constant,
     /// It sends something else.
     Wild,
 }
@@ -76,8 +87,10 @@ pub struct Labels {
     pub honest: Vec<f64>,
     /// The same that it lies steadily.
     pub biased: Vec<f64>,
-    /// Densities of the sample as honest, biased, wild, in a common unit.
-    pub density: Vec<[f64; 3]>,
+    /// The same that it lies by a constant.
+    pub constant: Vec<f64>,
+    /// Densities of the sample as honest, constant, biased, wild, in a common unit.
+    pub density: Vec<[f64; 4]>,
     /// Sites: λ, blocks of size².
     pub precision: Vec<f64>,
     /// Sites: η, by channel.
@@ -110,7 +123,7 @@ pub struct Scratch {
     /// For sensors with several channels.
     pub cavity: Cavity,
     /// μ, b and μ' in turned coordinates.
-    turned: [Vec<f64>; 3],
+    turned: [Vec<f64>; 4],
     block: crate::mixture::block::Block,
 }
 
@@ -123,7 +136,7 @@ impl Scratch {
             shift: vec![0.0; m],
             variance: vec![0.0; m],
             cavity: Cavity::new(widest),
-            turned: [room(), room(), room()],
+            turned: [room(), room(), room(), room()],
             block: crate::mixture::block::Block::new(widest),
         }
     }
@@ -137,7 +150,8 @@ impl Labels {
         Self {
             honest: sensor(),
             biased: sensor(),
-            density: vec![[0.0; 3]; sensors],
+            constant: sensor(),
+            density: vec![[0.0; 4]; sensors],
             precision: vec![0.0; blocks],
             eta: channel(),
             z: channel(),
@@ -157,6 +171,7 @@ impl Labels {
         let pairs = [
             (&mut self.honest, &other.honest),
             (&mut self.biased, &other.biased),
+            (&mut self.constant, &other.constant),
             (&mut self.precision, &other.precision),
             (&mut self.eta, &other.eta),
             (&mut self.z, &other.z),
@@ -174,10 +189,13 @@ impl Labels {
     #[inline(always)]
     #[must_use]
     pub fn label(&self, index: usize) -> Label {
-        let (honest, biased) = (self.honest[index], self.biased[index]);
+        let (honest, biased, constant) = (self.honest[index], self.biased[index], self.constant[index]);
+        let wild = 1.0 - honest - biased - constant;
         if honest > 0.5 {
             Label::Honest
-        } else if biased >= 1.0 - honest - biased {
+        } else if constant >= biased && constant >= wild {
+            Label::Constant
+        } else if biased >= wild {
             Label::Biased
         } else {
             Label::Wild
@@ -189,16 +207,16 @@ impl Labels {
     pub fn begin(&mut self, sample: &Sample, prior: &Prior, mut belief: impl FnMut(usize, &Arrived) -> (f64, f64)) {
         self.sweeps = 0;
         for (index, one) in sample.arrived.iter().enumerate() {
-            let (honest, biased) = if one.protected { (1.0, 0.0) } else { belief(index, one) };
-            (self.honest[index], self.biased[index]) = (honest, biased);
-            let share = biased / (1.0 + prior.spread[index]);
+            let (honest, constant) = if one.protected { (1.0, 0.0) } else { belief(index, one) };
+            (self.honest[index], self.biased[index], self.constant[index]) = (honest, 0.0, constant);
+            let share = constant / (1.0 + prior.scatter[index]);
             let block = &mut self.precision[one.block..one.block + one.size * one.size];
             block.fill(0.0);
             for a in 0..one.size {
                 let channel = one.first + a;
                 let residual = sample.residual[channel];
                 block[a * one.size + a] = honest + share;
-                self.eta[channel] = honest * residual + share * (residual - prior.bias[channel]);
+                self.eta[channel] = honest * residual + share * (residual - prior.offset[channel]);
             }
         }
     }
@@ -279,7 +297,7 @@ impl Labels {
         let mut mu = std::mem::take(&mut self.mu);
         mu[..widest].fill(0.0);
         for (index, one) in sample.arrived.iter().enumerate() {
-            let weight = 1.0 - self.honest[index] - self.biased[index];
+            let weight = 1.0 - self.honest[index] - self.biased[index] - self.constant[index];
             count += weight;
             for (a, mu) in mu[..one.size].iter_mut().enumerate() {
                 let value = self.unturned(one, a);
@@ -308,21 +326,23 @@ impl Labels {
         for index in 0..sample.arrived.len() {
             let one = sample.arrived[index];
             if one.protected {
-                self.density[index] = [1.0, 0.0, 0.0];
+                self.density[index] = [1.0, 0.0, 0.0, 0.0];
                 continue;
             }
             self.turn(&one, prior, scratch);
             let density = self.densities(&one, index, prior, settings, scratch);
             let joint = [
                 prior.honest[index] * density[0],
-                prior.biased[index] * density[1],
-                prior.wild[index] * density[2],
+                prior.constant[index] * density[1],
+                prior.biased[index] * density[2],
+                prior.wild[index] * density[3],
             ];
-            let sum = joint[0] + joint[1] + joint[2];
-            let (honest, biased) = if sum > 0.0 { (joint[0] / sum, joint[1] / sum) } else { (0.0, 0.0) };
+            let sum = joint[0] + joint[1] + joint[2] + joint[3];
+            let scale = if sum > 0.0 { 1.0 / sum } else { 0.0 };
+            let (honest, constant, biased) = (joint[0] * scale, joint[1] * scale, joint[2] * scale);
             self.density[index] = density;
             self.gap = self.gap.max((honest - self.honest[index]).abs());
-            (self.honest[index], self.biased[index]) = (honest, biased);
+            (self.honest[index], self.biased[index], self.constant[index]) = (honest, biased, constant);
             self.place(&one, index, prior, settings, step, scratch);
         }
         self.sweeps += 1;
@@ -332,7 +352,9 @@ impl Labels {
     #[inline(always)]
     fn turn(&self, one: &Arrived, prior: &Prior, scratch: &mut Scratch) {
         let Arrived { first, size, block, .. } = *one;
-        let sources = [&self.mu[..size], &prior.bias[first..first + size], &prior.cluster[..size]];
+        let range = first..first + size;
+        let sources =
+            [&self.mu[..size], &prior.offset[range.clone()], &prior.bias[range], &prior.cluster[..size]];
         for (turned, source) in scratch.turned.iter_mut().zip(sources) {
             if size == 1 {
                 turned[0] = source[0];
@@ -346,7 +368,7 @@ impl Labels {
 
     /// Densities as honest, biased, wild, over the largest of their parts.
     #[inline(always)]
-    fn densities(&self, one: &Arrived, index: usize, prior: &Prior, settings: &Settings, scratch: &Scratch) -> [f64; 3] {
+    fn densities(&self, one: &Arrived, index: usize, prior: &Prior, settings: &Settings, scratch: &Scratch) -> [f64; 4] {
         let Arrived { first, size, .. } = *one;
         let (z, v) = (&self.z[first..first + size], &self.v[first..first + size]);
         let gauss = |center: Option<&[f64]>, added: f64| {
@@ -361,28 +383,29 @@ impl Labels {
         };
         let parts = [
             gauss(None, 0.0),
-            gauss(Some(&scratch.turned[1]), prior.spread[index]),
+            gauss(Some(&scratch.turned[1]), prior.scatter[index]),
+            gauss(Some(&scratch.turned[2]), prior.spread[index]),
             gauss(None, settings.kappa),
             gauss(Some(&scratch.turned[0]), self.tau2),
-            gauss(Some(&scratch.turned[2]), prior.cluster_spread),
+            gauss(Some(&scratch.turned[3]), prior.cluster_spread),
             gauss(None, settings.small),
         ];
         let largest = parts.iter().fold(f64::NEG_INFINITY, |largest, part| largest.max(part.0));
         if !largest.is_finite() {
-            return [0.0, 0.0, 1.0];
+            return [0.0, 0.0, 0.0, 1.0];
         }
         let density = |part: (f64, f64)| part.1 * (part.0 - largest).exp();
         let wild: f64 =
-            parts[2..].iter().zip(&settings.shares).filter(|(_, share)| **share > 0.0).map(|(part, share)| share * density(*part)).sum();
-        [density(parts[0]), density(parts[1]), wild]
+            parts[3..].iter().zip(&settings.shares).filter(|(_, share)| **share > 0.0).map(|(part, share)| share * density(*part)).sum();
+        [density(parts[0]), density(parts[1]), density(parts[2]), wild]
     }
 
     /// The site of a sensor for its beliefs.
     #[inline(always)]
     fn place(&mut self, one: &Arrived, index: usize, prior: &Prior, settings: &Settings, step: f64, scratch: &mut Scratch) {
         let Arrived { first, size, block: at, .. } = *one;
-        let (honest, biased) = (self.honest[index], settings.reuse * self.biased[index]);
-        let added = prior.spread[index];
+        let (honest, biased) = (self.honest[index], self.constant[index]);
+        let added = prior.scatter[index] + settings.reuse;
         if size > 1 {
             let Scratch { cavity, turned, .. } = scratch;
             let ways = [
@@ -396,7 +419,7 @@ impl Labels {
         }
         let (z, v, mean) = (self.z[first], self.v[first], self.mean[first]);
         let (w, wb) = (1.0 / v, 1.0 / (v + added));
-        let (g, gb) = (z * w, (z - prior.bias[first]) * wb);
+        let (g, gb) = (z * w, (z - prior.offset[first]) * wb);
         let pull = honest * g + biased * gb;
         let curvature = honest * w + biased * wb - (honest * g * g + biased * gb * gb - pull * pull);
         let h = v - 1.0;
@@ -426,16 +449,18 @@ impl Labels {
             let p = match label {
                 Label::Honest => prior.honest[index],
                 Label::Biased => prior.biased[index],
+                Label::Constant => prior.constant[index],
                 Label::Wild => prior.wild[index],
             };
             log += if one.protected { 0.0 } else { p.ln() };
             accused += usize::from(label != Label::Honest);
-            if label == Label::Wild || (label == Label::Biased && settings.reuse == 0.0) {
+            if label == Label::Wild || label == Label::Biased {
                 continue;
             }
-            let added = if label == Label::Biased { 1.0 + prior.spread[index] } else { 1.0 };
+            let constant = label == Label::Constant;
+            let added = if constant { 1.0 + prior.scatter[index] + settings.reuse } else { 1.0 };
             for channel in one.first..one.first + one.size {
-                let bias = if label == Label::Biased { prior.bias[channel] } else { 0.0 };
+                let bias = if constant { prior.offset[channel] } else { 0.0 };
                 let residual = sample.residual[channel] - bias;
                 log -= 0.5 * (residual * residual / added + added.ln());
                 eta[channel] = residual / added;
@@ -450,7 +475,7 @@ impl Labels {
         for (index, one) in sample.arrived.iter().enumerate() {
             match self.label(index) {
                 Label::Wild => log += self.outside(one, None, (sample, prior), settings, scratch),
-                Label::Biased if settings.reuse == 0.0 => {
+                Label::Biased => {
                     log += self.outside(one, Some(index), (sample, prior), settings, scratch);
                 }
                 _ => {}

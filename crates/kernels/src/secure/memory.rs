@@ -11,7 +11,7 @@ use crate::Result;
 use crate::codec::{Decoder, Encoder};
 use crate::kalman::heard::Heard;
 use crate::mixture::sample::Sample;
-use crate::secure::labels::{Labels, Prior};
+use crate::secure::labels::{Label, Labels, Prior};
 use crate::secure::settings::Settings;
 
 /// Beliefs about a sensor are kept this far from certainty.
@@ -27,11 +27,14 @@ pub struct Memory {
     lying: Vec<f64>,
     /// Belief that a sensor lies steadily; that it lied wildly at its latest sample; s; v of that sample.
     steady: Vec<f64>,
+    constant: Vec<f64>,
     wild: Vec<f64>,
     spread: Vec<f64>,
+    scatter: Vec<f64>,
     open: Vec<f64>,
     /// b and the latest residual, by channel of the plant, in its units.
     bias: Vec<f64>,
+    offset: Vec<f64>,
     latest: Vec<f64>,
     /// Lies of late: count, sum of squares; sum by channel within a sensor.
     cluster: Vec<f64>,
@@ -52,10 +55,13 @@ impl Memory {
             weight: settings.habits.iter().map(|habit| habit.weight).collect(),
             lying: vec![0.0; settings.habits.len() * sensors],
             steady: sensor(),
+            constant: sensor(),
             wild: sensor(),
             spread: sensor(),
+            scatter: sensor(),
             open: sensor(),
             bias: vec![0.0; channels],
+            offset: vec![0.0; channels],
             latest: vec![0.0; channels],
             cluster: vec![0.0; 2],
             sum: vec![0.0; widest],
@@ -71,11 +77,12 @@ impl Memory {
         for (e, habit) in settings.habits.iter().enumerate() {
             self.lying[e * self.sensors..(e + 1) * self.sensors].fill(habit.onset);
         }
-        for numbers in [&mut self.steady, &mut self.wild, &mut self.bias, &mut self.latest, &mut self.cluster, &mut self.sum]
+        for numbers in [&mut self.steady, &mut self.constant, &mut self.wild, &mut self.bias, &mut self.offset, &mut self.latest, &mut self.cluster, &mut self.sum]
         {
             numbers.fill(0.0);
         }
         self.spread.fill(settings.bias.0);
+        self.scatter.fill(settings.bias.0);
         self.open.fill(1.0);
         self.paid.fill(0.0);
         self.violated = 0;
@@ -86,10 +93,13 @@ impl Memory {
         self.weight.copy_from_slice(&other.weight);
         self.lying.copy_from_slice(&other.lying);
         self.steady.copy_from_slice(&other.steady);
+        self.constant.copy_from_slice(&other.constant);
         self.wild.copy_from_slice(&other.wild);
         self.spread.copy_from_slice(&other.spread);
+        self.scatter.copy_from_slice(&other.scatter);
         self.open.copy_from_slice(&other.open);
         self.bias.copy_from_slice(&other.bias);
+        self.offset.copy_from_slice(&other.offset);
         self.latest.copy_from_slice(&other.latest);
         self.cluster.copy_from_slice(&other.cluster);
         self.sum.copy_from_slice(&other.sum);
@@ -108,28 +118,54 @@ impl Memory {
         let _ = heard;
         let (begin, settle, end) = settings.steady;
         let (first, change) = settings.bias;
+        let wander = settings.wander;
         let mut channel = 0;
-        let sizes = &settings.sizes;
-        for i in 0..self.sensors {
-            let size = sizes[i];
+        for (i, &size) in settings.sizes.iter().enumerate() {
             let range = channel..channel + size;
             channel += size;
             if settings.protected[i] {
                 continue;
             }
-            let honest = (1.0 - self.steady[i] - self.wild[i]).max(0.0);
-            let (on, new, from) = (self.steady[i] * (1.0 - end), honest * begin, self.wild[i] * settle);
-            let sum = on + new + from;
-            let mut spread = (on * (self.spread[i] + change) + new * first + from * (self.open[i] + change)) / sum;
+            let (constant, steady) = (self.constant[i], self.steady[i]);
+            let new = (1.0 - steady - constant - self.wild[i]).max(0.0) * begin / 2.0;
+            let from = self.wild[i] * settle / 2.0;
+            let turn = settings.turn;
+            let sum = |on: f64, other: f64| on * (1.0 - end - turn) + other * turn + new + from;
+            let parts = [
+                (constant * (1.0 - end - turn), self.scatter[i] + wander),
+                (steady * turn, self.spread[i] + wander),
+                (new, first),
+                (from, self.open[i] + wander),
+            ];
+            let sources = |a: usize, d: f64, m: &Self| [m.offset[a] / d, m.bias[a] / d, 0.0, m.latest[a] / d];
+            let total_constant = sum(constant, steady);
+            let mut scatter = parts.iter().map(|(w, s)| w * s).sum::<f64>() / total_constant;
+            let other = [
+                (steady * (1.0 - end - turn), self.spread[i] + change),
+                (constant * turn, self.scatter[i] + change),
+                (new, first),
+                (from, self.open[i] + change),
+            ];
+            let total_steady = sum(steady, constant);
+            let mut spread = other.iter().map(|(w, s)| w * s).sum::<f64>() / total_steady;
             for a in range {
-                let (b, latest) = (self.bias[a] / settings.deviations[a], self.latest[a] / settings.deviations[a]);
-                let mean = (on * b + from * latest) / sum;
-                spread += ((on * b * b + from * latest * latest) / sum - mean * mean).max(0.0) / size as f64;
-                self.bias[a] = mean * settings.deviations[a];
+                let d = settings.deviations[a];
+                let at = sources(a, d, self);
+                let mean: f64 = parts.iter().zip(&at).map(|((w, _), b)| w * b).sum::<f64>() / total_constant;
+                let square: f64 = parts.iter().zip(&at).map(|((w, _), b)| w * b * b).sum::<f64>() / total_constant;
+                scatter += (square - mean * mean).max(0.0) / size as f64;
+                let at = [at[1], at[0], 0.0, at[3]];
+                let drift: f64 = other.iter().zip(&at).map(|((w, _), b)| w * b).sum::<f64>() / total_steady;
+                let square: f64 = other.iter().zip(&at).map(|((w, _), b)| w * b * b).sum::<f64>() / total_steady;
+                spread += (square - drift * drift).max(0.0) / size as f64;
+                self.offset[a] = mean * d;
+                self.bias[a] = drift * d;
             }
-            self.steady[i] = sum;
+            self.constant[i] = total_constant;
+            self.steady[i] = total_steady;
             self.wild[i] = 0.0;
             self.spread[i] = spread;
+            self.scatter[i] = scatter;
         }
     }
 
@@ -139,16 +175,21 @@ impl Memory {
         let channels = heard.channels();
         for (place, &channel) in channels.iter().enumerate() {
             prior.bias[place] = self.bias[channel];
+            prior.offset[place] = self.offset[channel];
         }
+        heard.whitening().apply(&mut prior.offset[..channels.len()]);
         heard.whitening().apply(&mut prior.bias[..channels.len()]);
         for (index, one) in sample.arrived.iter().enumerate() {
             let i = one.sensor;
             let lies = self.lies(settings, i).clamp(CERTAIN, 1.0 - CERTAIN);
-            let steady = self.steady[i].min(1.0 - CERTAIN);
-            prior.biased[index] = steady;
-            prior.wild[index] = (1.0 - steady) * lies;
-            prior.honest[index] = (1.0 - steady) * (1.0 - lies);
+            let both = self.steady[i] + self.constant[i];
+            let cut = (1.0 - CERTAIN).min(both) / both.max(f64::MIN_POSITIVE);
+            prior.biased[index] = self.steady[i] * cut;
+            prior.constant[index] = self.constant[i] * cut;
+            prior.wild[index] = (1.0 - both * cut) * lies;
+            prior.honest[index] = (1.0 - both * cut) * (1.0 - lies);
             prior.spread[index] = self.spread[i];
+            prior.scatter[index] = self.scatter[i];
         }
         let (count, square) = (self.cluster[0], self.cluster[1]);
         let widest = sample.widest;
@@ -185,11 +226,12 @@ impl Memory {
                 continue;
             }
             let i = one.sensor;
-            let (honest, biased) = (labels.honest[index], labels.biased[index]);
-            let wild = (1.0 - honest - biased).max(0.0);
+            let (honest, biased, constant) = (labels.honest[index], labels.biased[index], labels.constant[index]);
+            let wild = (1.0 - honest - biased - constant).max(0.0);
             let range = one.first..one.first + one.size;
             let v = labels.v[range].iter().sum::<f64>() / one.size as f64;
             let gain = self.spread[i] / (self.spread[i] + v);
+            let slow = self.scatter[i] / (self.scatter[i] + v);
             self.cluster[0] += wild;
             for a in 0..one.size {
                 let white = labels.unturned(one, a);
@@ -203,10 +245,13 @@ impl Memory {
                 let channel = heard.channels()[one.first + a];
                 self.latest[channel] = raw;
                 self.bias[channel] += gain * (raw - self.bias[channel]);
+                self.offset[channel] += slow * (raw - self.offset[channel]);
             }
             self.spread[i] *= 1.0 - gain;
+            self.scatter[i] *= 1.0 - slow;
             self.open[i] = v;
             self.steady[i] = biased;
+            self.constant[i] = constant;
             self.wild[i] = wild;
             self.paid[i] = match (honest > 0.5, self.paid[i] < 0.0) {
                 (true, _) => 0.0,
@@ -226,9 +271,10 @@ impl Memory {
                 if one.protected {
                     continue;
                 }
-                let [honest, biased, wild] = labels.density[index];
-                let steady = self.steady[one.sensor]; // before it is remembered: the prior
-                let not = ((1.0 - steady) * honest + steady * biased).max(f64::MIN_POSITIVE);
+                let [honest, same, biased, wild] = labels.density[index];
+                let (steady, constant) = (self.steady[one.sensor], self.constant[one.sensor]); // the prior
+                let not = (1.0 - steady - constant).max(0.0) * honest + steady * biased + constant * same;
+                let not = not.max(f64::MIN_POSITIVE);
                 let ratio = (wild / not).clamp(1e-13, 1e13);
                 let ratio = 1.0 - habit.duty + habit.duty * ratio;
                 let p = &mut self.lying[e * self.sensors + one.sensor];
@@ -255,10 +301,13 @@ impl Memory {
             &self.weight,
             &self.lying,
             &self.steady,
+            &self.constant,
             &self.wild,
             &self.spread,
+            &self.scatter,
             &self.open,
             &self.bias,
+            &self.offset,
             &self.latest,
             &self.cluster,
             &self.sum,
@@ -278,10 +327,13 @@ impl Memory {
             &mut self.weight,
             &mut self.lying,
             &mut self.steady,
+            &mut self.constant,
             &mut self.wild,
             &mut self.spread,
+            &mut self.scatter,
             &mut self.open,
             &mut self.bias,
+            &mut self.offset,
             &mut self.latest,
             &mut self.cluster,
             &mut self.sum,
@@ -295,9 +347,13 @@ impl Memory {
 }
 
 impl Memory {
-    /// b and the latest residual by channel of the plant, s and v of a sensor.
+    /// What a sensor injects, by channel of the plant, and its variance in units of R.
     #[must_use]
-    pub fn injection(&self, sensor: usize) -> (&[f64], &[f64], f64, f64) {
-        (&self.bias, &self.latest, self.spread[sensor], self.open[sensor])
+    pub fn injection(&self, sensor: usize, label: Label) -> (&[f64], f64) {
+        match label {
+            Label::Constant => (&self.offset, self.scatter[sensor]),
+            Label::Biased => (&self.bias, self.spread[sensor]),
+            _ => (&self.latest, self.open[sensor]),
+        }
     }
 }

@@ -26,7 +26,7 @@ use crate::{Dims, Error, Estimator, Output, Result};
 const STARTS: usize = 4;
 
 /// Names of the diagnostics.
-const DIAGNOSTICS: [&str; 6] = ["channels", "sweeps", "gap", "distrusted", "rival", "beliefs"];
+const DIAGNOSTICS: [&str; 8] = ["channels", "sweeps", "gap", "distrusted", "rival", "beliefs", "age", "score"];
 
 /// The estimator.
 #[derive(Debug, Clone)]
@@ -68,6 +68,8 @@ struct Rival {
     /// Samples since it started over, 0 = none.
     age: u64,
     pause: u64,
+    /// It trusts fewer than a majority less, and others.
+    useful: bool,
     /// log evidence over that of the filter.
     score: f64,
 }
@@ -161,7 +163,7 @@ impl Secure {
             eta: vec![0.0; m],
             trust: vec![0.0; sensors],
         };
-        State { k: 0, beliefs: vec![belief.clone(); beam + 1], count: 1, spare: vec![belief.clone(); beam + 1], rival: Rival { belief, age: 0, pause: 0, score: 0.0 }, work: Box::new(work) }
+        State { k: 0, beliefs: vec![belief.clone(); beam + 1], count: 1, spare: vec![belief.clone(); beam + 1], rival: Rival { belief, age: 0, pause: 0, useful: true, score: 0.0 }, work: Box::new(work) }
     }
 
     /// Who arrived, and how far everyone is from what a belief predicts.
@@ -190,7 +192,7 @@ impl Secure {
             let (before, rest) = trials.split_at_mut(tried);
             let trial = &mut rest[0];
             match start {
-                0 => trial.begin(sample, prior, |index, _| (prior.honest[index], prior.biased[index])),
+                0 => trial.begin(sample, prior, |index, _| (prior.honest[index], prior.constant[index])),
                 1 => trial.begin(sample, prior, |index, one| (gate(settings, sample, prior, index, one.size), 0.0)),
                 2 => regression.begin(trial, (sample, prior), settings, information, scratch),
                 _ => {
@@ -246,7 +248,7 @@ impl Secure {
     #[inline(always)]
     fn advance(&self, state: &mut State, y: &[f64], u: &[f64], out: &mut Output<'_>) {
         let settings = &self.settings;
-        let State { k, beliefs, count, spare, work, .. } = state;
+        let State { k, beliefs, count, spare, work, rival } = state;
         let all = y.iter().all(|value| !value.is_nan());
         if !(all && work.complete) {
             work.heard.listen(&self.model, &self.noise, *k, y);
@@ -270,11 +272,22 @@ impl Secure {
                 }
             }
         }
-        self.doubt(beliefs, *count, work, *k, y, u);
+        if settings.doubt.0 > 0 {
+            self.doubt(beliefs, *count, work, *k, y, u);
+        }
         let before = total(beliefs[..*count].iter().map(|belief| belief.weight));
         let after = total(work.candidates[..work.found].iter().map(|candidate| candidate.weight));
+        let forgiven = match best(&work.candidates[..work.found]) {
+            Some(best) => {
+                let beyond = work.candidates[best].accused.saturating_sub(settings.most(&work.sample));
+                beyond as f64 * (labels::MAJORITY - 7.0)
+            }
+            None => 0.0,
+        };
         self.select(work);
         self.report(work, out);
+        out.diagnostics[6] = rival.age as f64;
+        out.diagnostics[7] = rival.score;
         for (place, &chosen) in work.kept.iter().enumerate() {
             let candidate = &work.candidates[chosen];
             let target = &mut spare[place];
@@ -293,7 +306,7 @@ impl Secure {
         }
         *count = work.kept.len();
         std::mem::swap(beliefs, spare);
-        self.challenge(state, after - before, y, u);
+        self.challenge(state, after - before + forgiven, y, u);
         self.begin_trial(state);
         state.k += 1;
     }
@@ -352,7 +365,9 @@ impl Secure {
         let arrived = work.sample.arrived.len();
         let candidate = &mut work.candidates[best];
         let crossed = (0..arrived).any(|i| work.trust[i] > 0.5 && candidate.labels.honest[i] < 0.5);
-        rival.score += candidate.weight - evidence;
+        let beyond = candidate.accused.saturating_sub(settings.most(&work.sample));
+        rival.score += candidate.weight + beyond as f64 * (labels::MAJORITY - 7.0) - evidence;
+        let violated = beliefs[0].memory.violated > 0;
         candidate.x.iter_mut().zip(&rival.belief.x).for_each(|(shift, x)| *shift += x);
         rival.belief.memory.remember(settings, &work.heard, &work.sample, &candidate.labels);
         work.posterior.take(&candidate.root);
@@ -360,7 +375,10 @@ impl Secure {
         self.model.predict(*k, &candidate.x, u, &mut rival.belief.x);
         rival.age += 1;
         let over = rival.age > length;
-        let clear = rival.age > length / 3 && rival.score > against;
+        let sure = violated || rival.score > settings.strong;
+        let wait = if sure { settings.haste } else { length / 2 };
+        rival.useful = crossed && beyond == 0;
+        let clear = rival.age > wait && rival.score > against && beyond == 0;
         if crossed && clear {
             let target = &mut beliefs[0];
             target.x.copy_from_slice(&rival.belief.x);
@@ -383,7 +401,9 @@ impl Secure {
         let (length, _, inflation, against) = settings.trial;
         let State { beliefs, rival, .. } = state;
         let debt = beliefs[0].memory.debt();
-        if length == 0 || rival.age > 0 || rival.pause > 0 || debt == 0.0 {
+        let violated = beliefs[0].memory.violated > 0;
+        let useless = violated && !rival.useful;
+        if length == 0 || (rival.age > 0 && !useless) || (rival.pause > 0 && !violated) || debt == 0.0 {
             return;
         }
         rival.belief.x.copy_from_slice(&beliefs[0].x);
@@ -392,6 +412,7 @@ impl Secure {
         rival.belief.memory.copy_from(&beliefs[0].memory);
         rival.belief.memory.clear(settings);
         rival.age = 1;
+        rival.useful = true;
         rival.score = -debt * settings.charge;
         let _ = against;
     }

@@ -6,7 +6,7 @@ use crate::kalman::gains::innovation_deviations;
 use crate::kalman::heard::Heard;
 use crate::kalman::ud::Ud;
 use crate::mixture::sample::Sample;
-use crate::secure::labels::{Label, Labels};
+use crate::secure::labels::Labels;
 use crate::secure::memory::Memory;
 use crate::secure::settings::Settings;
 use crate::secure::{Secure, Work};
@@ -97,6 +97,8 @@ impl Secure {
             distrusted as f64,
             rival,
             kept.len() as f64,
+            0.0,
+            0.0,
         ];
         out.diagnostics.copy_from_slice(&numbers);
         let finite = out.x_std.iter().all(|deviation| deviation.is_finite());
@@ -141,12 +143,11 @@ impl Memory {
             if trust[index] >= 0.5 {
                 continue;
             }
-            let steady = labels.label(index) == Label::Biased;
-            let (bias, latest, spread, open) = self.injection(one.sensor);
+            let (value, variance) = self.injection(one.sensor, labels.label(index));
             for a in 0..one.size {
                 let channel = heard.channels()[one.first + a];
                 let deviation = settings.deviations[channel];
-                let (value, variance) = if steady { (bias[channel], spread) } else { (latest[channel], open) };
+                let value = value[channel];
                 out.attack[channel] = value;
                 out.attack_std[channel] = deviation * variance.sqrt();
             }

@@ -40,6 +40,10 @@ pub struct Settings {
     pub bias: (f64, f64),
     /// Whether a sensor that lies steadily says something about the state, less its injection: 1 or 0.
     pub reuse: f64,
+    /// Change of a constant injection per sample, and chance to turn from constant to drifting or back.
+    pub wander: f64,
+    /// See `wander`.
+    pub turn: f64,
     /// Beliefs kept at most, log weight that drops one.
     pub beam: usize,
     /// See `beam`.
@@ -54,6 +58,10 @@ pub struct Settings {
     pub tolerance: f64,
     /// Samples in a row with too many accused before memory is doubted, 0 = never; inflation of P⁻ then.
     pub doubt: (usize, f64),
+    /// Score that needs no long trial.
+    pub strong: f64,
+    /// Samples that a rival is on trial at least where too many are accused.
+    pub haste: u64,
     /// Share of the debt that the filter is charged in a trial.
     pub charge: f64,
     /// Samples that a rival is on trial, samples between trials, inflation of its P⁻, odds against it.
