@@ -41,16 +41,12 @@ pub struct Prior {
     pub spread: Vec<f64>,
     /// s of a constant one.
     pub scatter: Vec<f64>,
-    /// μ', by channel within a sensor, and τ'².
-    pub cluster: Vec<f64>,
-    /// τ'²
-    pub cluster_spread: f64,
 }
 
 impl Prior {
     /// Room for N sensors and m channels.
     #[must_use]
-    pub fn new(sensors: usize, channels: usize, widest: usize) -> Self {
+    pub fn new(sensors: usize, channels: usize) -> Self {
         let room = || vec![0.0; sensors];
         Self {
             honest: room(),
@@ -61,8 +57,6 @@ impl Prior {
             offset: vec![0.0; channels],
             spread: room(),
             scatter: room(),
-            cluster: vec![0.0; widest],
-            cluster_spread: 1.0,
         }
     }
 }
@@ -123,7 +117,7 @@ pub struct Scratch {
     /// For sensors with several channels.
     pub cavity: Cavity,
     /// μ, b and μ' in turned coordinates.
-    turned: [Vec<f64>; 4],
+    turned: [Vec<f64>; 3],
     block: crate::mixture::block::Block,
 }
 
@@ -136,7 +130,7 @@ impl Scratch {
             shift: vec![0.0; m],
             variance: vec![0.0; m],
             cavity: Cavity::new(widest),
-            turned: [room(), room(), room(), room()],
+            turned: [room(), room(), room()],
             block: crate::mixture::block::Block::new(widest),
         }
     }
@@ -354,7 +348,7 @@ impl Labels {
         let Arrived { first, size, block, .. } = *one;
         let range = first..first + size;
         let sources =
-            [&self.mu[..size], &prior.offset[range.clone()], &prior.bias[range], &prior.cluster[..size]];
+            [&self.mu[..size], &prior.offset[range.clone()], &prior.bias[range]];
         for (turned, source) in scratch.turned.iter_mut().zip(sources) {
             if size == 1 {
                 turned[0] = source[0];
@@ -387,8 +381,6 @@ impl Labels {
             gauss(Some(&scratch.turned[2]), prior.spread[index]),
             gauss(None, settings.kappa),
             gauss(Some(&scratch.turned[0]), self.tau2),
-            gauss(Some(&scratch.turned[3]), prior.cluster_spread),
-            gauss(None, settings.small),
         ];
         let largest = parts.iter().fold(f64::NEG_INFINITY, |largest, part| largest.max(part.0));
         if !largest.is_finite() {
@@ -509,12 +501,20 @@ impl Labels {
         let parts = [
             gauss(None, settings.kappa),
             gauss(Some(&self.mu), self.tau2),
-            gauss(Some(&prior.cluster), prior.cluster_spread),
-            gauss(None, settings.small),
         ];
         let largest = parts.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b));
         let sum: f64 = parts.iter().zip(&settings.shares).map(|(log, share)| share * (log - largest).exp()).sum();
         largest + sum.ln()
+    }
+
+    /// Take in another labelling with the given weight.
+    pub fn merge(&mut self, other: &Self, weight: f64, arrived: usize) {
+        let mix = |mine: &mut f64, theirs: f64| *mine += weight * (theirs - *mine);
+        for index in 0..arrived {
+            mix(&mut self.honest[index], other.honest[index]);
+            mix(&mut self.biased[index], other.biased[index]);
+            mix(&mut self.constant[index], other.constant[index]);
+        }
     }
 
     /// Whether the rounded beliefs are the same.

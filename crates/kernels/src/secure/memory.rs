@@ -36,11 +36,6 @@ pub struct Memory {
     bias: Vec<f64>,
     offset: Vec<f64>,
     latest: Vec<f64>,
-    /// Lies of late: count, sum of squares; sum by channel within a sensor.
-    cluster: Vec<f64>,
-    sum: Vec<f64>,
-    /// log of what the accusation of a sensor cost when it was raised, 0 where it is honest.
-    paid: Vec<f64>,
     /// Samples in a row with too many accused.
     pub violated: u64,
 }
@@ -48,7 +43,7 @@ pub struct Memory {
 impl Memory {
     /// Before the first sample.
     #[must_use]
-    pub fn new(settings: &Settings, sensors: usize, channels: usize, widest: usize) -> Self {
+    pub fn new(settings: &Settings, sensors: usize, channels: usize) -> Self {
         let sensor = || vec![0.0; sensors];
         let mut memory = Self {
             sensors,
@@ -63,9 +58,6 @@ impl Memory {
             bias: vec![0.0; channels],
             offset: vec![0.0; channels],
             latest: vec![0.0; channels],
-            cluster: vec![0.0; 2],
-            sum: vec![0.0; widest],
-            paid: sensor(),
             violated: 0,
         };
         memory.clear(settings);
@@ -77,14 +69,13 @@ impl Memory {
         for (e, habit) in settings.habits.iter().enumerate() {
             self.lying[e * self.sensors..(e + 1) * self.sensors].fill(habit.onset);
         }
-        for numbers in [&mut self.steady, &mut self.constant, &mut self.wild, &mut self.bias, &mut self.offset, &mut self.latest, &mut self.cluster, &mut self.sum]
+        for numbers in [&mut self.steady, &mut self.constant, &mut self.wild, &mut self.bias, &mut self.offset, &mut self.latest]
         {
             numbers.fill(0.0);
         }
         self.spread.fill(settings.bias.0);
         self.scatter.fill(settings.bias.0);
         self.open.fill(1.0);
-        self.paid.fill(0.0);
         self.violated = 0;
     }
 
@@ -101,21 +92,17 @@ impl Memory {
         self.bias.copy_from_slice(&other.bias);
         self.offset.copy_from_slice(&other.offset);
         self.latest.copy_from_slice(&other.latest);
-        self.cluster.copy_from_slice(&other.cluster);
-        self.sum.copy_from_slice(&other.sum);
-        self.paid.copy_from_slice(&other.paid);
         self.violated = other.violated;
     }
 
     /// Every chain and injection one sample on: before the sample is seen.
     #[inline(always)]
-    pub fn move_on(&mut self, settings: &Settings, heard: &Heard) {
+    pub fn move_on(&mut self, settings: &Settings) {
         for (lying, habit) in self.lying.chunks_exact_mut(self.sensors).zip(&settings.habits) {
             for p in lying {
                 *p = *p * (1.0 - habit.recovery) + (1.0 - *p) * habit.onset;
             }
         }
-        let _ = heard;
         let (begin, settle, end) = settings.steady;
         let (first, change) = settings.bias;
         let wander = settings.wander;
@@ -191,18 +178,6 @@ impl Memory {
             prior.spread[index] = self.spread[i];
             prior.scatter[index] = self.scatter[i];
         }
-        let (count, square) = (self.cluster[0], self.cluster[1]);
-        let widest = sample.widest;
-        for (target, sum) in prior.cluster[..widest].iter_mut().zip(&self.sum) {
-            *target = sum / (count + 1.0);
-        }
-        prior.cluster_spread = settings.cluster_spread(count, square, &prior.cluster[..widest]);
-    }
-
-    /// What all present accusations cost, as a log.
-    #[must_use]
-    pub fn debt(&self) -> f64 {
-        self.paid.iter().sum()
     }
 
     /// π of a sensor.
@@ -215,12 +190,7 @@ impl Memory {
     /// Remember what was believed of the sensors that arrived.
     #[inline(always)]
     pub fn remember(&mut self, settings: &Settings, heard: &Heard, sample: &Sample, labels: &Labels) {
-        let rate: f64 = settings.habits.iter().zip(&self.weight).map(|(habit, weight)| weight * habit.onset).sum();
-        let price = (rate + settings.steady.0).ln();
         self.weigh_habits(settings, sample, labels);
-        self.cluster[0] *= settings.cluster;
-        self.cluster[1] *= settings.cluster;
-        self.sum.iter_mut().for_each(|sum| *sum *= settings.cluster);
         for (index, one) in sample.arrived.iter().enumerate() {
             if one.protected {
                 continue;
@@ -232,12 +202,6 @@ impl Memory {
             let v = labels.v[range].iter().sum::<f64>() / one.size as f64;
             let gain = self.spread[i] / (self.spread[i] + v);
             let slow = self.scatter[i] / (self.scatter[i] + v);
-            self.cluster[0] += wild;
-            for a in 0..one.size {
-                let white = labels.unturned(one, a);
-                self.cluster[1] += wild * white * white;
-                self.sum[a] += wild * white;
-            }
             for a in 0..one.size {
                 let row = heard.whitening().row(one.first + a);
                 let from = a + 1 - row.len();
@@ -253,11 +217,6 @@ impl Memory {
             self.steady[i] = biased;
             self.constant[i] = constant;
             self.wild[i] = wild;
-            self.paid[i] = match (honest > 0.5, self.paid[i] < 0.0) {
-                (true, _) => 0.0,
-                (false, false) => price,
-                (false, true) => self.paid[i].max(price),
-            };
         }
     }
 
@@ -309,9 +268,6 @@ impl Memory {
             &self.bias,
             &self.offset,
             &self.latest,
-            &self.cluster,
-            &self.sum,
-            &self.paid,
         ] {
             to.floats(numbers);
         }
@@ -335,9 +291,6 @@ impl Memory {
             &mut self.bias,
             &mut self.offset,
             &mut self.latest,
-            &mut self.cluster,
-            &mut self.sum,
-            &mut self.paid,
         ] {
             from.floats(numbers)?;
         }

@@ -26,14 +26,10 @@ pub struct Settings {
     pub forgetting: (f64, f64),
     /// Variance of a wild injection, in units of R.
     pub kappa: f64,
-    /// Variance of a small wild one.
-    pub small: f64,
-    /// Shares of the parts of a wild density: broad, learned now, learned lately, small.
-    pub shares: [f64; 4],
+    /// Shares of the parts of a wild density: broad, learned.
+    pub shares: [f64; 2],
     /// Least pseudo-scale of a learned cluster.
     pub scale: f64,
-    /// Forgetting of the cluster of lies.
-    pub cluster: f64,
     /// Probability that an honest sensor begins to lie steadily; that a wild one does; that it ends.
     pub steady: (f64, f64, f64),
     /// Variance of an injection that begins, in units of R, and of its change per sample.
@@ -44,28 +40,16 @@ pub struct Settings {
     pub wander: f64,
     /// See `wander`.
     pub turn: f64,
-    /// Beliefs kept at most, log weight that drops one.
-    pub beam: usize,
-    /// See `beam`.
-    pub drop: f64,
-    /// Deviations within which two beliefs are one.
-    pub same: f64,
     /// Starts: prior, gate, robust, complement: which are tried.
-    pub starts: [bool; 4],
+    pub starts: [bool; 3],
     /// Sweeps at most.
     pub cap: usize,
     /// Change of beliefs that counts as none.
     pub tolerance: f64,
     /// Samples in a row with too many accused before memory is doubted, 0 = never; inflation of P⁻ then.
     pub doubt: (usize, f64),
-    /// Score that needs no long trial.
-    pub strong: f64,
-    /// Samples that a rival is on trial at least where too many are accused.
-    pub haste: u64,
-    /// Share of the debt that the filter is charged in a trial.
-    pub charge: f64,
-    /// Samples that a rival is on trial, samples between trials, inflation of its P⁻, odds against it.
-    pub trial: (u64, u64, f64, f64),
+    /// Votes of the accused against the believed from which on they are too many; 0 = only heads are counted.
+    pub votes: f64,
     /// Channels of every sensor, (N,), and standard deviation of their noise, (m,).
     pub sizes: Vec<usize>,
     /// See `sizes`.
