@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING
 
 from securestate._words import count
 from securestate.reporting.blocks import channel_noise
-from securestate.reporting.clock import Clock
+from securestate.reporting.clock import Clock, Moment
 from securestate.reporting.page import definitions, percent, table
-from securestate.reporting.summary import Moment, SensorSummary, Summary
+from securestate.reporting.summary import SensorSummary, Summary
+from securestate.reporting.telling import measured
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
@@ -130,23 +131,6 @@ def _known_injections(s: SensorSummary) -> Iterable[str]:
         if not math.isnan(i.median):
             text = f"{measured(i.median, i.spread)} {i.unit}".strip()
             yield escape(f"{i.channel}: {text}" if len(s.injections) > 1 else text)
-
-
-def measured(value: float, spread: float) -> str:
-    """A value with its spread, as many digits as the spread deserves.
-
-    Examples:
-        >>> measured(12.3456, 0.0321), measured(-4210.0, 130.0), measured(3e-9, 1e-10)
-        ('+12.346 ± 0.032', '−4210 ± 130', '+3e-09 ± 1e-10')
-    """
-    size = max(abs(value), spread)
-    if size and not 1e-3 <= size < 1e6:
-        text = f"{value:+.3g} ± {spread:.2g}"
-    else:
-        last = spread if spread > 0 else size or 1.0
-        digits = min(6, max(0, 1 - math.floor(math.log10(last))))
-        text = f"{value:+.{digits}f} ± {spread:.{digits}f}"
-    return text.replace("-", "−", 1) if text.startswith("-") else text
 
 
 def statuses(summary: Summary) -> str:
