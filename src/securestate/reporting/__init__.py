@@ -4,6 +4,7 @@ from securestate.reporting.clock import Moment
 from securestate.reporting.comparison import write_comparison
 from securestate.reporting.courses import Course, Kind
 from securestate.reporting.findings import Alarms, Crowd, Finding, Findings, find
+from securestate.reporting.findings_file import write_findings
 from securestate.reporting.html import write_report
 from securestate.reporting.identification import write_identification
 from securestate.reporting.periods import Period
@@ -26,6 +27,7 @@ __all__ = [
     "find",
     "summarise",
     "write_comparison",
+    "write_findings",
     "write_identification",
     "write_report",
     "write_resilience",

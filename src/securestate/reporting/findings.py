@@ -35,7 +35,10 @@ FEWEST = 3
 """No fewer alarms make a brief episode."""
 
 UNTOLD = 5
-"""The same where the method states no rate of false alarms."""
+"""No fewer do where the method states no rate of false alarms."""
+
+MANY = 3
+"""Fewer sensors that are suspected at once for a short time are no jump of the plant."""
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,13 @@ class Finding:
         return self.persistent and not self.together
 
     @property
+    def verdict(self) -> str:
+        """One word: "lies", until the end, or "lied"; "contradicts" without blame; "brief"."""
+        if not self.persistent:
+            return "brief"
+        return "contradicts" if self.together else "lies" if self.ongoing else "lied"
+
+    @property
     def certainty(self) -> float:
         """Mean distrust while it was judged, or the share of suspected samples, in [0, 1]."""
         return self.suspected / self.sent if np.isnan(self.trust) else 1.0 - self.trust
@@ -111,7 +121,7 @@ class Alarms:
         expected: how many this leads to expect.
         frequent: sensors with many more of them than that, and how many.
         settled: the first sample after the start.
-        at_start: sensors suspected before it, and how often; these are not counted above.
+        at_start: sensors suspected before it more than once in a row, and how often; not counted above.
     """
 
     count: int
@@ -160,7 +170,7 @@ def find(run: Run) -> Findings:
     together = _together(run, sent, each)
     found, alone, early = [], np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     for k, (i, episode) in enumerate(each):
-        if episode.stop < settled < len(run.x) and not episode.until_end:
+        if episode.suspected > 1 and episode.stop < settled < len(run.x) and not episode.until_end:
             early[i] += episode.suspected
         elif episode.persistent or not (k in together or _chance(episode, rate, judged)):
             found.append(_finding(run, i, episode, sent[:, i], rate, together=k in together))
@@ -205,7 +215,7 @@ def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> list
     if run.estimator in BY_PROTECTED and run.plant.protected.any():
         return []
     found, suspected, heard = [], run.suspected.copy(), sent.copy()
-    for persistent, least in ((True, 1), (False, 2)):
+    for persistent, least in ((True, 1), (False, MANY)):
         many = suspected.sum(axis=1)
         crowded = (2 * many >= heard.sum(axis=1)) & (many >= least) & (sent.sum(axis=1) > 1)
         for k, (i, episode) in enumerate(each):

@@ -29,11 +29,12 @@ def sentences(findings: Findings, clock: Clock) -> Iterator[str]:
 
 def what(finding: Finding, clock: Clock) -> str:
     """What a sensor did, the sentence that goes on after its name."""
+    details = "; ".join([*amounts(finding), sureness(finding)])
     if finding.lies:
-        verb = "lies" if finding.ongoing else "lied"
-        return f"{verb} {when(finding, clock)}: {'; '.join([*amounts(finding), sureness(finding)])}."
+        return f"{finding.verdict} {when(finding, clock)}: {details}."
     alarms = f"raised {count(finding.suspected, 'alarm')} {when(finding, clock)}"
-    return f"{alarms}, too few to say that it lies: {'; '.join([*amounts(finding), sureness(finding)])}."
+    few = "too many others did" if finding.together else "too few"
+    return f"{alarms}, {few} to say that it lies: {details}."
 
 
 def when(finding: Finding, clock: Clock) -> str:
@@ -71,9 +72,9 @@ def amount(c: Course) -> str:
         >>> amount(Course("flow", "l/s", Kind.GROWING, 0.0, 5.0, 5.0, 0.1, 0.05, None, 1.0, 1.0))
         'growing by 0.05 l/s per sample, from 0.00 to +5.00 ± 0.10 l/s'
     """
+    value = typical(c)
     if c.kind is Kind.ERRATIC:
-        return f"erratic, {plain(c.size)} {c.unit}".rstrip() + " in the root mean square"
-    value = f"{measured(c.last, c.spread)} {c.unit}".rstrip()
+        return value
     if c.kind in (Kind.GROWING, Kind.SETTLING):
         how = "growing" if abs(c.last) >= abs(c.first) else "shrinking"
         step = f"{plain(abs(c.slope))} {c.unit}".rstrip()
@@ -84,6 +85,18 @@ def amount(c: Course) -> str:
         return ", ".join(filter(None, [f"{how} by {step} per sample", f"from {first} to {value}", then]))
     course = ", constant" if c.kind is Kind.CONSTANT else ""
     return f"about {value}{course}"
+
+
+def typical(c: Course) -> str:
+    """What is added to a channel at the end, with its scatter, or how large what is erratic is."""
+    if c.kind is Kind.ERRATIC:
+        return f"erratic, {plain(c.size)} {c.unit}".rstrip() + " (root mean square)"
+    return f"{measured(c.last, c.spread)} {c.unit}".rstrip()
+
+
+def plain_signs(text: str) -> str:
+    """The same with a hyphen for minus, as terminals and programs want it."""
+    return text.replace("−", "-")
 
 
 def sureness(finding: Finding) -> str:
