@@ -94,7 +94,7 @@ def with_silence(run: Run, sensor: int, samples: slice) -> Run:
     return replace(run, trust=trust, innovation=innovation, attack=attack, suspected=suspected)
 
 
-def said(
+def made_lies(
     added: dict[int, NDArray[np.float64]], samples: int = 400, *, sensors: int = 5, rate: float | None = None
 ) -> Run:
     """A run in which sensors are suspected where `added`, (samples,), is a number: what they add, in kPa.

@@ -29,7 +29,7 @@ def sentences(findings: Findings, clock: Clock) -> Iterator[str]:
 
 def what(finding: Finding, clock: Clock) -> str:
     """What a sensor did, the sentence that goes on after its name."""
-    details = "; ".join([*amounts(finding), sureness(finding)])
+    details = "; ".join([*amounts(finding, clock), sureness(finding)])
     if finding.lies:
         return f"{finding.verdict} {when(finding, clock)}: {details}."
     alarms = f"raised {count(finding.suspected, 'alarm')} {when(finding, clock)}"
@@ -54,15 +54,15 @@ def stretch(since: Moment, until: Moment, clock: Clock, *, ongoing: bool = False
     return f"from {clock.text(first)} to {clock.text(last)} (samples {first} to {last})"
 
 
-def amounts(finding: Finding) -> Iterator[str]:
+def amounts(finding: Finding, clock: Clock) -> Iterator[str]:
     """How much a sensor adds, one phrase for each channel that has an estimate."""
     for c in finding.courses:
         if c.known:
             channel = f"{c.channel}: " if len(finding.courses) > 1 else ""
-            yield f"{channel}{amount(c)}"
+            yield f"{channel}{amount(c, clock)}"
 
 
-def amount(c: Course) -> str:
+def amount(c: Course, clock: Clock | None = None) -> str:
     """How much is added to a channel, and how that goes on.
 
     Examples:
@@ -81,10 +81,14 @@ def amount(c: Course) -> str:
         first = measured(c.first, c.spread).split(" ± ")[0]
         if not any(digit in first for digit in "123456789"):
             first = first.lstrip("+−")
-        then = f"until sample {c.settled}, then constant" if c.settled is not None else ""
+        then = "" if c.settled is None else f"until {_at(c.settled, clock)}, then constant"
         return ", ".join(filter(None, [f"{how} by {step} per sample", f"from {first} to {value}", then]))
     course = ", constant" if c.kind is Kind.CONSTANT else ""
     return f"about {value}{course}"
+
+
+def _at(sample: int, clock: Clock | None) -> str:
+    return f"sample {sample}" if clock is None else clock.moment(sample)
 
 
 def typical(c: Course) -> str:
@@ -102,7 +106,7 @@ def plain_signs(text: str) -> str:
 def sureness(finding: Finding) -> str:
     """In how many samples it was suspected, against how many by chance, and how far it was trusted."""
     trust = "" if math.isnan(finding.trust) else f", mean trust {finding.trust:.2f}"
-    chance = "" if finding.expected is None else f", {_few(finding.expected)} by chance"
+    chance = "" if finding.expected is None else f", {rounded(finding.expected)} by chance"
     return f"suspected in {finding.suspected:,} of {count(finding.sent, 'sample')}{chance}{trust}"
 
 
@@ -147,9 +151,9 @@ def _isolated(alarms: Alarms) -> str:
     many = alarms.count > alarms.expected + 3 * math.sqrt(alarms.expected) + 1
     few = alarms.count < alarms.expected - 3 * math.sqrt(alarms.expected)
     how = "more than" if many else "fewer than" if few else "about as many as"
-    advice = " The noise of the model may be too small: `judge` it." if many else ""
+    advice = " The model may state too little noise: see securestate judge." if many else ""
     rate = f"the stated rate of {100 * alarms.rate:g} %"
-    return f"{number}, {how} {rate} leads to expect ({_few(alarms.expected)}).{advice}"
+    return f"{number}, {how} {rate} leads to expect ({rounded(alarms.expected)}).{advice}"
 
 
 def period(p: Period, clock: Clock) -> str:
@@ -166,7 +170,8 @@ def plain(value: float) -> str:
     return f"{value:.3g}"
 
 
-def _few(number: float) -> str:
+def rounded(number: float) -> str:
+    """A small number in two digits, a larger one as a whole number."""
     return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
 
 
