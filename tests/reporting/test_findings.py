@@ -69,6 +69,11 @@ def test_when_all_sensors_jump_nobody_is_blamed() -> None:
     assert not brief.crowds[0].persistent
 
 
+def test_a_jump_at_the_first_sample_blames_nobody_either() -> None:
+    findings = find(made_lies({i: lie(0, 30) for i in range(5)}))
+    assert not any(f.lies for f in findings.found) and findings.crowds[0].since.index == 0
+
+
 def test_a_minority_that_lies_before_others_do_is_blamed_all_the_same() -> None:
     """Three of five lie in all, but never at the same time."""
     findings = find(made_lies({0: lie(20, 120), 1: lie(140, 240), 3: lie(260, 360)}))

@@ -271,7 +271,7 @@ def _crowds(run: Run, crowd: Sequence[tuple[int, Episode]]) -> tuple[Crowd, ...]
     joined: list[list[tuple[int, Episode]]] = []
     stop = -1
     for i, episode in sorted(crowd, key=lambda each: each[1].start):
-        if episode.start > stop + 1:
+        if not joined or episode.start > stop + 1:
             joined.append([])
         joined[-1].append((i, episode))
         stop = max(stop, episode.stop)

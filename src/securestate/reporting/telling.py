@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from securestate._words import count, enumerate_names
 from securestate.reporting.clock import Clock, Moment
 from securestate.reporting.courses import Course, Kind
-from securestate.reporting.findings import Alarms, Crowd, Finding, Findings
+from securestate.reporting.findings import START, Alarms, Crowd, Finding, Findings
 from securestate.reporting.periods import Period
 
 TOLD = 12
@@ -117,11 +117,12 @@ def crowded(crowd: Crowd, clock: Clock) -> str:
     head = f"{where[:1].upper()}{where[1:]} {count(len(crowd.sensors), 'sensor')} contradict"
     if len(crowd.sensors) == 1:
         head += "s"
-    blame = (
-        "too many to say who lies; check the model, or what happened to the plant"
-        if crowd.persistent
-        else "which is a jump of the plant rather than a lie of them all"
-    )
+    if not crowd.persistent:
+        blame = "which is a jump of the plant rather than a lie of them all"
+    elif crowd.since.index < START:
+        blame = "the record may start far from the operating point; start with a window (--prior window)"
+    else:
+        blame = "too many to say who lies; check the model, or what happened to the plant"
     return f"{head} the others and the plant at once ({names}): {blame}."
 
 
