@@ -85,8 +85,8 @@ def test_a_status_is_told_with_its_longest_stretch_and_what_to_do() -> None:
     (one,) = find(run).periods
     assert period(one, Clock.of(run)) == (
         "AMBIGUOUS in 21 samples, 2 stretches, the longest from 5.00 h to 5.95 h (samples 100 to 119): two "
-        "ways to say who lies explain the readings about equally well; do not act on a name from this time before "
-        "somebody has looked at the sensors."
+        "ways to say who lies explain the readings about equally well; do not act on a name from this time "
+        "before somebody has looked at the sensors."
     )
 
 
