@@ -71,7 +71,7 @@ def episodes(suspected: Bool, sent: Bool) -> list[Episode]:
 
     Samples that did not arrive do not count, neither as suspected nor as time that passes. A suspected sample
     gives 1, another one takes IDLE; an episode is a stretch whose sum no shorter or longer one between two
-    pauses exceeds (Ruzzo and Tompa 1999), so that an alarm shortly before a lie does not date it.
+    pauses exceeds (ruzzo1999), so that an alarm shortly before a lie does not date it.
 
     Args:
         suspected: (T,).

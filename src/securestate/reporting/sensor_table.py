@@ -12,7 +12,7 @@ from securestate.reporting.courses import Course, Kind
 from securestate.reporting.findings import Finding
 from securestate.reporting.page import percent, table
 from securestate.reporting.summary import SensorSummary, Summary
-from securestate.reporting.tables import moment, row
+from securestate.reporting.tables import linked, moment, row
 from securestate.reporting.telling import crowded, plain, remarks, rounded, typical, what
 
 HEAD = (
@@ -38,7 +38,7 @@ def sentences(summary: Summary, clock: Clock) -> str:
     """What was found, as a list: the largest and surest first, then what is no finding."""
     findings = summary.findings
     told = [f for f in findings.found if not f.together]
-    items = [escape(crowded(c, clock)) for c in findings.crowds[:TOLD]]
+    items = [linked(escape(crowded(c, clock)), c.since, clock) for c in findings.crowds[:TOLD]]
     items += [_sentence(f, clock) for f in told[:TOLD]]
     if len(told) > TOLD:
         items.append(f"{count(len(told) - TOLD, 'more finding')} in the table, smaller or less certain.")
@@ -68,8 +68,7 @@ def _kind(s: SensorSummary) -> str:
 
 def _sentence(f: Finding, clock: Clock) -> str:
     """A finding, with its time as a link that shows it in the charts."""
-    told, since = escape(what(f, clock)), escape(clock.text(f.since.index))
-    return f"<b>{escape(f.sensor)}</b> {told.replace(since, moment(f.since, clock), 1)}"
+    return f"<b>{escape(f.sensor)}</b> {linked(escape(what(f, clock)), f.since, clock)}"
 
 
 def _table(found: Sequence[tuple[SensorSummary, Finding]], clock: Clock) -> str:
@@ -115,8 +114,8 @@ def _cells(s: SensorSummary, f: Finding, clock: Clock) -> tuple[str, ...]:
         _verdict("brief alarms" if f.verdict == "brief" else f.verdict),
         moment(f.since, clock),
         "the end" if f.ongoing else moment(f.until, clock),
-        "<br>".join(_named(f, c, typical(c)) for c in f.courses if c.known),
-        "<br>".join(escape(_course(c, clock)) for c in f.courses if c.known),
+        "<br>".join(_named(f, c, typical(c).removeprefix("erratic, ")) for c in f.courses if c.known),
+        "<br>".join(_named(f, c, _course(c, clock)) for c in f.courses if c.known),
         f"{f.suspected:,} of {f.sent:,}{chance}",
         "" if math.isnan(f.trust) else f"{f.trust:.2f}",
         percent(s.missing) if s.missing else "",

@@ -69,7 +69,7 @@ def statuses(summary: Summary, clock: Clock) -> str:
             _key(s.name),
             f"{s.count:,}",
             *((_stretches(stretches.get(s.name, ()), clock),) if stretches else ()),
-            escape(meaning(Status[s.name])),
+            escape(_sentence(meaning(Status[s.name]))),
         )
         for s in summary.statuses
     )
@@ -77,9 +77,13 @@ def statuses(summary: Summary, clock: Clock) -> str:
     return f"{plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>{chart}"
 
 
+def _sentence(half: str) -> str:
+    return f"{half[:1].upper()}{half[1:]}."
+
+
 def _stretches(stretches: Sequence[tuple[Moment, Moment]], clock: Clock) -> str:
     """The first stretches, each a link, and how many more there are."""
-    shown = [moment(since, clock, stretch(since, until, clock)) for since, until in stretches[:STRETCHES]]
+    shown = [linked(escape(stretch(*ends, clock)), ends[0], clock) for ends in stretches[:STRETCHES]]
     more = len(stretches) - STRETCHES
     return "<br>".join([*shown, *([f"and {more:,} more"] if more > 0 else [])])
 
@@ -152,8 +156,11 @@ def row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
     return f'<tr class="{kind}">{"".join(columns)}</tr>'
 
 
-def moment(at: Moment | None, clock: Clock, text: str = "") -> str:
+def moment(at: Moment, clock: Clock) -> str:
     """A time as a link that shows it in the charts."""
-    if at is None:
-        return ""
-    return f'<button class="go" data-sample="{at.index}">{escape(text or clock.text(at.index))}</button>'
+    return f'<button class="go" data-sample="{at.index}">{escape(clock.text(at.index))}</button>'
+
+
+def linked(told: str, at: Moment, clock: Clock) -> str:
+    """A sentence, HTML already, with the first mention of a time as a link."""
+    return told.replace(escape(clock.text(at.index)), moment(at, clock), 1)
