@@ -97,13 +97,30 @@ def test_alarms_that_chance_explains_are_counted_against_the_stated_rate() -> No
     assert find(made_lies(noise, 20_000)).alarms.expected is None
 
 
-def test_three_alarms_in_a_row_are_more_than_a_small_rate_explains_and_two_are_not() -> None:
-    (one,) = find(made_lies({1: lie(100, 103)}, rate=RATE)).found
-    assert not one.persistent and not one.lies and one.suspected == 3
-    assert find(made_lies({1: lie(100, 102)}, rate=RATE)).found == ()
-    assert find(made_lies({1: lie(100, 103)}, rate=0.1)).found == ()
-    assert find(made_lies({1: lie(100, 103)})).found == ()
-    assert len(find(made_lies({1: lie(100, 105)})).found) == 1
+@pytest.mark.parametrize("rate", [RATE, None])
+def test_five_alarms_in_a_row_are_more_than_chance_explains_and_three_are_not(rate: float | None) -> None:
+    (one,) = find(made_lies({1: lie(100, 105)}, rate=rate)).found
+    assert not one.persistent and not one.lies and one.suspected == 5
+    assert find(made_lies({1: lie(100, 103)}, rate=rate)).found == ()
+    assert find(made_lies({1: lie(100, 105)}, rate=0.1)).found == ()
+
+
+def test_alarms_that_come_in_clusters_from_all_sensors_are_no_findings() -> None:
+    """A method with a memory errs as often as it says, but several times in a row."""
+    rng = np.random.default_rng(9)
+    clusters = {i: np.full(20_000, np.nan) for i in range(4)}
+    for values in clusters.values():
+        for start in rng.choice(19_900, 4, replace=False):
+            values[start : start + min(8, rng.geometric(1 / 5))] = 7.0
+    findings = find(made_lies(clusters, 20_000, rate=RATE))
+    assert findings.found == () and findings.alarms.count > 50
+
+
+def test_one_sensor_with_a_brief_lie_again_and_again_is_found_all_the_same() -> None:
+    pulses = np.full(4000, np.nan)
+    for start in range(100, 3900, 200):
+        pulses[start : start + 6] = 9.0
+    assert len(find(made_lies({1: pulses}, 4000, rate=RATE)).found) == 19
 
 
 def test_a_sensor_with_many_scattered_alarms_is_pointed_at() -> None:

@@ -46,9 +46,9 @@ def test_a_method_that_estimates_no_injection_tells_the_rest() -> None:
 
 
 def test_a_brief_episode_is_told_as_such() -> None:
-    (one,) = told(made_lies({1: lie(100, 104)}, rate=RATE))
+    (one,) = told(made_lies({1: lie(100, 106)}, rate=RATE))
     assert one.startswith(
-        "XMEAS 2 raised 4 alarms from 5.00 h to 5.15 h (samples 100 to 103), too few to say"
+        "XMEAS 2 raised 6 alarms from 5.00 h to 5.25 h (samples 100 to 105), too few to say"
     )
 
 

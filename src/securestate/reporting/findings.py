@@ -12,6 +12,7 @@ from scipy import stats
 
 from securestate.errors import InputError
 from securestate.estimators.base import Status
+from securestate.reporting.chance import Chance
 from securestate.reporting.clock import Moment
 from securestate.reporting.courses import Course, courses
 from securestate.reporting.episodes import Episode, episodes, silent
@@ -28,14 +29,8 @@ BY_PROTECTED = ("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman", "Joi
 START = 10
 """Samples in which a filter that starts at a wrong state may suspect anybody."""
 
-RARE = 0.01
-"""A brief episode is told if honest sensors would give fewer than so many in the whole run."""
-
 FEWEST = 3
-"""No fewer alarms make a brief episode."""
-
-UNTOLD = 5
-"""No fewer do where the method states no rate of false alarms."""
+"""Fewer isolated alarms of one sensor are never too many."""
 
 MANY = 3
 """Fewer sensors that are suspected at once for a short time are no jump of the plant."""
@@ -150,10 +145,10 @@ def find(run: Run) -> Findings:
     """Say who lies, since when, how much, and how sure that is.
 
     Alarms of a sensor with at most a few samples between them are one episode (`episodes`). An episode is a
-    finding if it is persistent, or if chance does not explain it: fewer than RARE such episodes are expected
-    of honest sensors at the stated rate of false alarms (`settings["false_alarm_rate"]`); without a stated
-    rate, if it has at least UNTOLD alarms. Findings that are certain and large come first, those that are
-    brief, blame nobody, or do not stand out of their scatter, last.
+    finding if it is persistent, or if chance does not explain it (`Chance`): neither the stated rate of false
+    alarms (`settings["false_alarm_rate"]`), if there is one, nor the way in which brief alarms of other
+    sensors cluster. Findings that are certain and large come first, those that are brief, blame nobody, or do
+    not stand out of their scatter, last.
 
     Args:
         run: one run, x of shape (T, n).
@@ -164,15 +159,14 @@ def find(run: Run) -> Findings:
     plant, names, rate, settled = run.plant, run.plant.sensor_names, stated_rate(run), _settled(run)
     sent = np.column_stack([~silent(run, i) | run.suspected[:, i] for i in range(plant.n_sensors)])
     quiet = sent & (~plant.protected | run.suspected.any(axis=0))
-    judged = int(quiet.sum())
     suspects = np.flatnonzero(run.suspected.any(axis=0)).tolist()
     each = [(i, episode) for i in suspects for episode in episodes(run.suspected[:, i], sent[:, i])]
-    together = _together(run, sent, each)
+    together, chance = _together(run, sent, each), Chance.of(each, len(names), int(quiet.sum()), rate)
     found, alone, early = [], np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     for k, (i, episode) in enumerate(each):
         if episode.suspected > 1 and episode.stop < settled < len(run.x) and not episode.until_end:
             early[i] += episode.suspected
-        elif episode.persistent or not (k in together or _chance(episode, rate, judged)):
+        elif episode.persistent or not (k in together or chance.explains(i, episode)):
             found.append(_finding(run, i, episode, sent[:, i], rate, together=k in together))
         elif k not in together:
             alone[i] += episode.suspected
@@ -180,7 +174,7 @@ def find(run: Run) -> Findings:
         quiet[episode.start : episode.stop + 1, i] = False
     return Findings(
         found=tuple(sorted(found, key=_rank)),
-        crowds=_crowds(run, [each[k] for k in together if each[k][1].stop >= settled]),
+        crowds=_crowds(run, [each[k] for k in sorted(together) if each[k][1].stop >= settled]),
         alarms=Alarms(
             count=int(alone.sum()),
             rate=rate,
@@ -207,14 +201,15 @@ def stated_rate(run: Run) -> float | None:
     return rate
 
 
-def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> list[int]:
+def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> set[int]:
     """Which episodes fall into times at which too many sensors are suspected to blame them.
 
     Persistent episodes first; sensors that are to blame do not count when brief ones are judged.
     """
     if run.estimator in BY_PROTECTED and run.plant.protected.any():
-        return []
-    found, suspected, heard = [], run.suspected.copy(), sent.copy()
+        return set()
+    found: set[int] = set()
+    suspected, heard = run.suspected.copy(), sent.copy()
     for persistent, least in ((True, 1), (False, MANY)):
         many = suspected.sum(axis=1)
         crowded = (2 * many >= heard.sum(axis=1)) & (many >= least) & (sent.sum(axis=1) > 1)
@@ -223,7 +218,7 @@ def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> list
             if episode.persistent is not persistent:
                 continue
             if 2 * np.sum(crowded[rows] & run.suspected[rows, i]) > episode.suspected:
-                found.append(k)
+                found.add(k)
             elif persistent:
                 suspected[rows, i] = heard[rows, i] = False
     return found
@@ -233,13 +228,6 @@ def _settled(run: Run) -> int:
     """The first sample after the start: after START samples, and after a cold start."""
     other = np.flatnonzero(run.status != Status.COLD_START)
     return max(START, int(other[0]) if other.size else len(run.status))
-
-
-def _chance(episode: Episode, rate: float | None, samples: int) -> bool:
-    """Whether chance explains a brief episode."""
-    if rate is None:
-        return episode.suspected < UNTOLD
-    return episode.suspected < FEWEST or episode.by_chance(rate, samples) >= RARE
 
 
 def _finding(
