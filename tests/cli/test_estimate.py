@@ -1,5 +1,6 @@
 """`securestate estimate`: its files, its table, its exit codes, and that it leaves nothing half-done."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -8,8 +9,8 @@ import pytest
 import xarray as xr
 
 import securestate as ss
-from securestate.cli import job
-from securestate.estimators import METHODS
+from securestate.cli import job, methods
+from securestate.estimators import DEFAULT, METHODS
 from securestate.measurements import read_measurements
 from tests.cli.helpers import PLANT, Command
 
@@ -39,12 +40,12 @@ def test_honest_sensors_end_with_0(command: Command) -> None:
     end = command(*HONEST)
     assert (end.code, end.err) == (0, "")
     assert "LIES" not in end.out
-    assert "Fast path" in end.out
+    assert "Fast path" in command(*HONEST, "--method", "sparse").out
 
 
 def test_the_table_says_whom_no_other_sensor_can_vouch_for(command: Command, folder: Path) -> None:
     nobody_for(("flow 1", "flow 2", "level"), folder)
-    rows = command(*LYING).out.splitlines()
+    rows = command(*LYING, "--method", "sparse").out.splitlines()
     cells = [row.split("  ")[0] for row in rows]
     assert rows[cells.index("flow 1")].split()[2:5] == ["cannot", "be", "checked"]
     assert "LIES" in rows[cells.index("flow 2 (cannot be checked)")]
@@ -65,6 +66,63 @@ def test_a_window_tells_who_was_heard_without_a_check(command: Command, folder: 
     nobody_for(("flow 1",), folder)
     out = " ".join(command(*HONEST, "--prior", "window").out.split())
     assert "believed: flow 2, flow 3 and level; heard without a check: flow 1." in out
+
+
+def test_a_finding_is_told_since_when_how_much_and_how_surely(command: Command, folder: Path) -> None:
+    frame = pd.read_csv(folder / "lying.csv")
+    frame.loc[250:, "flow 2"] -= 8
+    frame.loc[50:120, "flow 3"] -= 5
+    frame.loc[150:154, frame.columns[1:]] = np.nan
+    frame.to_csv(folder / "lying.csv", index=False)
+    out = " ".join(command(*LYING, "--method", "gate", "--false-alarm-rate", "0.001").out.split())
+    assert "2 of 4 sensors lie: flow 2 and flow 3." in out
+    assert "flow 2 lied from 50.0 s to 124.5 s (samples 100 to 249): about +8.0" in out
+    assert "suspected in 145 of 145 samples, 0.14 by chance, mean trust 0.0" in out
+    assert "m³/h, constant; suspected" in out
+    assert "flow 3 lied from 25.0 s to 60.0 s (samples 50 to 120): about -" in out
+    assert "NO_MEASUREMENT in 5 samples, from 75.0 s to 77.0 s (samples 150 to 154): nothing arrived" in out
+
+
+def test_findings_are_written_for_programs(command: Command, folder: Path) -> None:
+    end = command(*LYING, "--findings", "liars.json", "--quiet")
+    assert (end.code, end.out) == (3, "")
+    found = json.loads((folder / "liars.json").read_text())
+    assert (found["liars"], found["source"], found["samples"]) == (["flow 2"], "lying.csv", 300)
+    (one,) = (finding for finding in found["findings"] if finding["verdict"] == "lies")
+    assert (one["sensor"], one["since"], one["ongoing"]) == ("flow 2", {"sample": 100, "time": 50.0}, True)
+    assert one["injections"][0]["last"] == pytest.approx(8, abs=0.5)
+    assert (one["injections"][0]["unit"], one["injections"][0]["kind"]) == ("m³/h", "constant")
+
+
+def test_auto_is_the_default_and_takes_the_settings_of_what_it_stands_for(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert command(*LYING).out == command(*LYING, "--method", DEFAULT).out
+    monkeypatch.setattr(methods, "DEFAULT", "gate")
+    chosen = command(*LYING, "--false-alarm-rate", "0.02").out
+    assert chosen == command(*LYING, "--method", "gate", "--false-alarm-rate", "0.02").out
+    refused = command(*LYING, "--gamma", "1")
+    assert (
+        refused.err
+        == "error: --gamma: expected --method sparse, received --method auto, which stands for gate\n"
+    )
+
+
+def test_auto_never_takes_another_method_in_silence_but_names_those_that_fit(
+    command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    R = np.diag([0.1, 0.1, 0.1, 0.2, 0.2])
+    R[0, 1] = R[1, 0] = 0.05
+    sensors = [ss.Sensor(s.name, C=s.C) for s in PLANT.sensors]
+    ss.Plant(PLANT.A, PLANT.Q, sensors, R=R, dt=PLANT.dt).save(folder / "plant.toml")
+    monkeypatch.setattr(methods, "DEFAULT", "innovation-mixture")
+    end = command(*LYING, "--out", "states.csv")
+    assert (end.code, end.out) == (4, "")
+    assert end.err.startswith(
+        "error: --method auto stands for innovation-mixture, which cannot be used here: "
+    )
+    assert "or use --method" in end.err and "--method kalman (trusts every sensor)" in end.err
+    assert not (folder / "states.csv").exists()
 
 
 def test_exit_zero_is_for_scripts_that_do_not_care(command: Command) -> None:
@@ -93,7 +151,8 @@ def test_a_detector_names_the_liar(command: Command, method: tuple[str, ...]) ->
 
 def test_help_offers_every_registered_method(command: Command) -> None:
     end = command("estimate", "--help")
-    assert all(name in end.out for name in METHODS)
+    assert all(name in end.out for name in ("auto", *METHODS))
+    assert f"auto stands for {DEFAULT}" in " ".join(end.out.replace("│", " ").split())
 
 
 def test_files_and_report_are_written_and_named_at_the_end(command: Command, folder: Path) -> None:
@@ -110,7 +169,7 @@ def test_blocks_say_exactly_what_one_run_says(
     command: Command, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(job, "BLOCK", 77)
-    command(*LYING, "--out", "states.nc", "--covariance")
+    command(*LYING, "--method", "sparse", "--out", "states.nc", "--covariance")
     data = read_measurements(folder / "lying.csv", PLANT)
     expected = ss.SparseFusion(PLANT).run(data.y).with_time(data.time).to_xarray()
     with xr.open_dataset(folder / "states.nc", engine="h5netcdf") as written:
@@ -118,7 +177,8 @@ def test_blocks_say_exactly_what_one_run_says(
 
 
 def test_settings_reach_the_estimator(command: Command, folder: Path) -> None:
-    command(*HONEST, "--kalman-probability", "0.5", "--no-refit", "--out", "states.parquet")
+    options = ("--method", "sparse", "--kalman-probability", "0.5", "--no-refit")
+    command(*HONEST, *options, "--out", "states.parquet")
     data = read_measurements(folder / "honest.csv", PLANT)
     expected = ss.SparseFusion(PLANT, kalman_probability=0.5, refit=False).run(data.y)
     table = pd.read_parquet(folder / "states.parquet")
@@ -195,11 +255,11 @@ def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("--gamma", "1", "--kalman-probability", "0.9"), "gamma"),
-        (("--kalman-probability", "2"), "kalman_probability"),
+        (("--method", "sparse", "--gamma", "1", "--kalman-probability", "0.9"), "gamma"),
+        (("--method", "sparse", "--kalman-probability", "2"), "kalman_probability"),
         (("--method", "kalman", "--gamma", "1"), "--gamma: expected --method sparse"),
         (
-            ("--false-alarm-rate", "0.1"),
+            ("--method", "sparse", "--false-alarm-rate", "0.1"),
             "--false-alarm-rate: expected --method adaptive-joint, joint, protected, gate, chi-square,",
         ),
         (("--method", "gate", "--window", "5"), "--window: expected --method adaptive-joint or joint"),
@@ -214,6 +274,8 @@ def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
         (("--out", "nowhere/states.csv"), "--out: expected a file in a folder that exists"),
         (("--report", "nowhere/report.html"), "--report: expected a file in a folder that exists"),
         (("--report", "report.pdf"), "--report: expected a file name ending in .html"),
+        (("--findings", "liars.csv"), "--findings: expected a file name ending in .json"),
+        (("--findings", "nowhere/liars.json"), "--findings: expected a file in a folder that exists"),
         (("--covariance", "--out", "states.csv"), "--covariance"),
         (("--out", "honest.csv"), "--out: expected another file than --data"),
         (("--time-column", "tme"), "time"),
@@ -323,4 +385,4 @@ def test_the_bias_monitor_is_calibrated_on_clean_files_and_others_refuse_them(co
     assert missing.code == 2 and "nowhere.csv" in missing.err
     foreign = command(*LYING, "--calibrate-on", "honest.csv")
     assert foreign.code == 2
-    assert "--calibrate-on: expected --method bias-monitor, received --method sparse" in foreign.err
+    assert "--calibrate-on: expected --method bias-monitor, received --method auto, which" in foreign.err

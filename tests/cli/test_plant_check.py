@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import securestate as ss
-from securestate.estimators import METHODS
+from securestate.estimators import AUTO, DEFAULT, METHODS
 from tests.cli.helpers import Command
 
 
@@ -17,7 +17,7 @@ def test_a_good_plant_is_described_and_ends_with_0(command: Command) -> None:
     assert "2 stable, 0 marginal, 0 unstable; largest |eigenvalue| 0.95" in end.out
     assert "Detectable: yes." in end.out
     for name in METHODS:
-        assert f"Method {name}: can be used." in end.out
+        assert f"Method {name}{f' ({AUTO})' if name == DEFAULT else ''}: can be used." in end.out
 
 
 def test_noise_is_shown_in_the_unit_of_the_files(command: Command) -> None:

@@ -92,3 +92,34 @@ def with_silence(run: Run, sensor: int, samples: slice) -> Run:
         array[samples, sensor] = np.nan
     suspected[samples, sensor] = False
     return replace(run, trust=trust, innovation=innovation, attack=attack, suspected=suspected)
+
+
+def made_lies(
+    added: dict[int, NDArray[np.float64]], samples: int = 400, *, sensors: int = 5, rate: float | None = None
+) -> Run:
+    """A run in which sensors are suspected where `added`, (samples,), is a number: what they add, in kPa.
+
+    Estimates of it have an error of 0.5 kPa.
+    """
+    run = made_run(sensors=sensors, samples=samples)
+    error = 0.5 * np.random.default_rng(3).standard_normal((samples, sensors))
+    attack = np.zeros((samples, sensors))
+    suspected = np.zeros((samples, sensors), dtype=bool)
+    for i, values in added.items():
+        suspected[:, i] = np.isfinite(values)
+        attack[:, i] = np.where(suspected[:, i], values + error[:, i], 0.0)
+    return replace(
+        run,
+        suspected=suspected,
+        attack=attack,
+        attack_std=np.where(suspected, 0.5, np.nan),
+        trust=np.where(suspected, 0.05, 0.95),
+        settings={} if rate is None else {"false_alarm_rate": rate},
+    )
+
+
+def lie(start: int, stop: int, size: float = SHIFT, samples: int = 400) -> NDArray[np.float64]:
+    """The same addition from `start` to before `stop`, NaN elsewhere, (samples,)."""
+    values = np.full(samples, np.nan)
+    values[start:stop] = size
+    return values

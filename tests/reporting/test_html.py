@@ -17,7 +17,7 @@ from securestate.reporting import write_report
 from securestate.reporting.blocks import channel_labels, normalised_innovation
 from securestate.reporting.html import render
 from securestate.reporting.payload import Block, unpack
-from tests.reporting.made_runs import made_run, unchecked, with_silence
+from tests.reporting.made_runs import lie, made_lies, made_run, unchecked, with_silence
 
 NASTY = [
     "</script><script>alert(1)</script>",
@@ -72,6 +72,27 @@ def test_the_headline_is_the_verdict() -> None:
     assert "<h1>No sensor is suspected.</h1>" in render(made_run())
 
 
+def test_the_head_tells_every_finding_with_a_link_to_its_moment() -> None:
+    html = render(made_lies({1: lie(160, 400), 3: lie(50, 120)}, rate=1e-3))
+    head = html.split("<h1>")[1].split("<dl>")[0]
+    assert re.findall(r'<li><b>(.*?)</b> (\w+ \w+) <button class="go" data-sample="(\d+)">', head) == [
+        ("XMEAS 4", "lied from", "50"),
+        ("XMEAS 2", "lies since", "160"),
+    ]
+    assert "2.50 h</button> to 5.95 h (samples 50 to 119): about +12.0" in head
+    assert "suspected in 240 of 240 samples, 0.24 by chance, mean trust 0.05.</li>" in head
+
+
+def test_a_status_is_told_with_its_times_and_what_to_do() -> None:
+    run = made_lies({})
+    run.status[[50, 51, 200]] = 5
+    html = render(run)
+    assert "<p>AMBIGUOUS in 3 samples, 2 stretches, the longest from 2.50 h to 2.55 h" in html
+    table = html.split("<h2>Status</h2>")[1].split("</table>")[0]
+    assert re.findall('data-sample="([0-9]+)"', table) == ["50", "200"]
+    assert "do not act on a name from this time" in table
+
+
 def headline_of(html: str) -> str:
     heading = re.search("<h1>(.*?)</h1>", html)
     assert heading
@@ -92,21 +113,21 @@ def test_liars_come_first_and_every_sensor_is_named_once_without_a_click() -> No
     assert "<details" not in section
 
 
-def test_a_sensor_with_an_isolated_alarm_or_a_gap_has_its_own_row() -> None:
+def test_a_sensor_with_an_isolated_alarm_or_a_gap_is_named_with_it() -> None:
     run = with_silence(made_run(), 2, slice(5, 9))
     run.suspected[50, 0] = True
-    table = render(run).split("<tbody>")[1].split("</tbody>")[0]
-    assert re.findall(r'data-label="Sensor">(XMEAS \d+)', table) == ["XMEAS 1", "XMEAS 3"]
-    assert "isolated alarms" in table
+    text = " ".join(" ".join(Reader(render(run)).text).split())
+    assert "Isolated alarms: XMEAS 1 1 sample ." in text
+    assert "No alarm from 4 other sensors: XMEAS 2, XMEAS 3 1.3 % missing , XMEAS 4," in text
 
 
-def test_sensors_that_cannot_be_checked_have_rows_a_remark_and_a_legend_that_say_so() -> None:
+def test_sensors_that_cannot_be_checked_have_a_place_a_remark_and_a_legend_that_say_so() -> None:
     run = unchecked(made_run(liars=(1,)), (1, 2))
     html = render(run)
     rows = html.split("<tbody>")[1].split("</tbody>")[0]
     verdicts = re.findall(r'data-label="Sensor">(XMEAS \d+)(.*?)</td>.*?"verdict-.*?">(.*?)<', rows)
-    tag = ' <span class="tag">cannot be checked</span>'
-    assert verdicts == [("XMEAS 2", tag, "lies"), ("XMEAS 3", "", "cannot be checked")]
+    assert verdicts == [("XMEAS 2", ' <span class="tag">cannot be checked</span>', "lies")]
+    assert "<b>Cannot be checked:</b> <span>XMEAS 3.</span>" in html
     assert "<p>2 of 5 sensors cannot be checked: no other sensor vouches for them.</p>" in html
     assert "No alarm from 3 other sensors:" in html
     assert "</span>sent nothing, or cannot be checked</span>" in html
@@ -156,7 +177,7 @@ def test_what_was_run_is_said() -> None:
 def test_a_silent_sensor_is_reported_as_such_and_not_as_honest() -> None:
     text = " ".join(Reader(render(with_silence(made_run(), 2, slice(None)))).text)
     assert "Sent nothing during the whole run: XMEAS 3." in text
-    assert "no data" in text
+    assert "No data: XMEAS 3." in " ".join(text.split())
 
 
 def test_names_from_files_are_text_never_markup() -> None:

@@ -85,7 +85,9 @@ def test_dates_stay_dates() -> None:
 def test_nine_alarms_of_twenty_samples_are_isolated_and_ten_are_a_lie() -> None:
     nine, ten = summarise(flagged(list(range(50, 68, 2)))), summarise(flagged(list(range(50, 70, 2))))
     assert (nine.liars, ten.liars) == ((), ("XMEAS 1",))
-    assert nine.verdict == "No sensor lies persistently; there are isolated alarms."
+    assert nine.verdict == "No sensor lies persistently; there are brief alarms of XMEAS 1."
+    four = summarise(flagged([50, 52, 54, 56]))
+    assert four.verdict == "No sensor lies persistently; there are isolated alarms."
 
 
 def test_a_lie_is_dated_from_its_stretch_not_from_an_earlier_isolated_alarm() -> None:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import sys
+import textwrap
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,10 +15,11 @@ from rich.table import Table
 from rich.text import Text
 
 from securestate._words import count
-from securestate.estimators import Run
+from securestate.estimators import AUTO, Run
 from securestate.identification import History
-from securestate.reporting import SensorSummary, Summary
+from securestate.reporting import Finding, SensorSummary, Summary
 from securestate.reporting.clock import Clock
+from securestate.reporting.telling import period, plain_signs, sentences, typical
 
 WIDE = 120  # columns, where the output is no terminal
 
@@ -127,25 +128,38 @@ def show_summary(run: Run, summary: Summary, remarks: Sequence[str], written: It
     console.print()
     console.print(_sensors(summary, clock))
     console.print()
-    for line in [*([summary.caveat] if summary.caveat else []), *_method(summary), *remarks]:
-        console.print(line)
     console.print(Text(summary.verdict, style="bold red" if summary.liars else "bold"))
+    for sentence in sentences(summary.findings, clock):
+        console.print(_hanging(plain_signs(sentence), console.width), soft_wrap=True)
+    console.print()
+    for line in [*([summary.caveat] if summary.caveat else []), *_method(summary, clock), *remarks]:
+        console.print(line)
     for path in written:
         console.print(f"wrote {path}", soft_wrap=True)
+
+
+def _hanging(sentence: str, width: int) -> str:
+    """A sentence set in, its further lines deeper."""
+    return textwrap.fill(
+        sentence, width, initial_indent="  ", subsequent_indent="    ", break_long_words=False
+    )
 
 
 def _sensors(summary: Summary, clock: Clock) -> Table:
     complete = all(sensor.missing == 0 for sensor in summary.sensors)
     missing = () if complete else ("missing",)
-    grid = table("sensor", "verdict", "suspected", *missing, "first alarm", "estimated injection")
-    for sensor in sorted(summary.sensors, key=lambda s: (not s.lies, -s.suspected)):
+    grid = table("sensor", "verdict", "suspected", *missing, "lies since", "estimated injection")
+    found = list(dict.fromkeys(f.sensor for f in summary.findings.found))
+    rank = {name: place for place, name in enumerate(found)}
+    for sensor in sorted(summary.sensors, key=lambda s: (rank.get(s.name, len(rank)), -s.suspected)):
+        findings = summary.findings.of(sensor.name)
         grid.add_row(
             _name(sensor),
-            _verdict(sensor),
+            _verdict(sensor, findings),
             _share(sensor.suspected),
             *(() if complete else (_share(sensor.missing),)),
-            clock.text(sensor.first_alarm.index) if sensor.first_alarm else "-",
-            "\n".join(_injections(sensor)) or "-",
+            clock.text(sensor.since.index) if sensor.since else "-",
+            "\n".join(_injections(findings)) or "-",
             style="bold red" if sensor.lies else None,
         )
     return grid
@@ -157,11 +171,14 @@ def _name(sensor: SensorSummary) -> str:
     return f"{sensor.name} (cannot be checked)" if sensor.uncheckable and sensor.first_alarm else sensor.name
 
 
-def _verdict(sensor: SensorSummary) -> str:
+def _verdict(sensor: SensorSummary, findings: Sequence[Finding]) -> str:
     if sensor.lies:
-        return "LIES"
+        blamed = [f for f in findings if f.lies]
+        if not blamed:
+            return "contradicts"
+        return "LIES" if any(f.ongoing for f in blamed) else "LIED"
     if sensor.first_alarm:
-        return "isolated alarms"
+        return "brief alarms" if findings else "isolated alarms"
     return "cannot be checked" if sensor.uncheckable else "-"
 
 
@@ -172,20 +189,20 @@ def _share(share: float) -> str:
     return f"{min(max(100 * share, 0.1), 99.9):.1f}%"
 
 
-def _injections(sensor: SensorSummary) -> Iterator[str]:
-    """Yield what a sensor adds to each of its channels, as far as there is an estimate."""
-    for each in sensor.injections:
-        if not math.isnan(each.median):
-            name = f"{each.channel}: " if len(sensor.injections) > 1 else ""
-            yield f"{name}{each.median:+.4g} ± {each.spread:.2g} {each.unit}".rstrip()
+def _injections(findings: Sequence[Finding]) -> Iterator[str]:
+    """Yield what a sensor adds to each of its channels in its first finding, as far as that is known."""
+    for course in findings[0].courses if findings else ():
+        if course.known:
+            name = f"{course.channel}: " if len(findings[0].courses) > 1 else ""
+            yield plain_signs(f"{name}{typical(course)}")
 
 
-def _method(summary: Summary) -> Iterator[str]:
-    """Say how the steps ended and what the method cannot do."""
+def _method(summary: Summary, clock: Clock) -> Iterator[str]:
+    """Say how the steps ended, when numbers did not mean what they say, and what the method cannot do."""
     counts = ", ".join(f"{status.name} {status.count}" for status in summary.statuses)
     yield f"Steps: {counts}."
-    yield from (f"{s.name}: {s.advice}" for s in summary.statuses if s.name != "OK")
+    yield from (plain_signs(period(p, clock)) for p in summary.findings.periods)
     if summary.fast_path is not None:
         yield f"Fast path (the answer is the Kalman filter's): {_share(summary.fast_path)} of the samples."
     if summary.estimator == "KalmanFilter":
-        yield "--method sparse looks for liars."
+        yield f"--method {AUTO} looks for liars."

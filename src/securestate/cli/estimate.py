@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from securestate.cli.exits import Exit
-from securestate.estimators.registry import METHODS
+from securestate.estimators.registry import AUTO, DEFAULT, METHODS
 
 
 class Form(StrEnum):
@@ -93,9 +93,14 @@ class Prior(StrEnum):
 
 
 def _known(name: str) -> str:
-    if name not in METHODS:
-        raise typer.BadParameter(f"{name!r} is none of {', '.join(METHODS)}")
+    if name not in NAMES:
+        raise typer.BadParameter(f"{name!r} is none of {', '.join(NAMES)}")
     return name
+
+
+#: What --method takes, and the methods that state a rate of false alarms.
+NAMES = (AUTO, *METHODS)
+RATED = tuple(name for name, method in METHODS.items() if "false_alarm_rate" in method.settings)
 
 
 def _number_or_word(text: str) -> float | str:
@@ -111,12 +116,14 @@ def estimate(
     method: Annotated[
         str,
         typer.Option(
-            metavar=f"[{'|'.join(METHODS)}]",
+            metavar="NAME",
             callback=_known,
-            autocompletion=lambda: list(METHODS),
-            help="; ".join(f"{name} {known.summary}" for name, known in METHODS.items()) + ".",
+            autocompletion=lambda: list(NAMES),
+            help=f"{AUTO} stands for {DEFAULT} and is the one to try first; "
+            + "; ".join(f"{name} {known.summary}" for name, known in METHODS.items())
+            + ".",
         ),
-    ] = "sparse",
+    ] = AUTO,
     prior: Annotated[
         Prior,
         typer.Option(
@@ -146,9 +153,7 @@ def estimate(
     ] = None,
     false_alarm_rate: Annotated[
         float | None,
-        typer.Option(
-            help="how often an honest sample raises an alarm; not for kalman, sparse, bias-monitor, mixtures."
-        ),
+        typer.Option(help=f"{', '.join(RATED)}: how often a sample of an honest sensor raises an alarm."),
     ] = None,
     calibrate_on: Annotated[
         list[Path] | None,
@@ -253,6 +258,10 @@ def estimate(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Write the estimates: .csv, .parquet or .nc.")] = None,
     report: Annotated[Path | None, typer.Option(help="Write the report: one .html file.")] = None,
+    findings: Annotated[
+        Path | None,
+        typer.Option(help="Write who lies, when, how much and how sure: one .json file for programs."),
+    ] = None,
     covariance: Annotated[
         bool, typer.Option("--covariance", help="Write covariances too; only into a .nc file.")
     ] = False,
@@ -308,6 +317,7 @@ def estimate(
             hold_inputs=hold_inputs,
             out=out,
             report=report,
+            findings=findings,
             covariance=covariance,
             quiet=quiet,
             exit_zero=exit_zero,

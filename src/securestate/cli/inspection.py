@@ -13,7 +13,7 @@ from securestate.cli import console
 from securestate.cli.exits import Exit
 from securestate.cli.methods import design
 from securestate.errors import DesignError, InsecureWarning, SecurestateWarning
-from securestate.estimators import METHODS
+from securestate.estimators import AUTO, DEFAULT, METHODS
 from securestate.plant import Plant
 from securestate.resilience import relevant, undetectable_modes, unobserved_modes
 
@@ -30,10 +30,14 @@ def inspect(path: Path) -> Exit:
     shown.print()
     shown.print(_sensors(plant))
     shown.print()
-    says = (f"Method {name}: {said}." for name, (_, said) in verdicts.items())
+    says = (f"Method {_called(name)}: {said}." for name, (_, said) in verdicts.items())
     for line in [*_modes(plant), *says, _liars(plant)]:
         shown.print(line)
     return Exit.CLEAN if any(usable for usable, _ in verdicts.values()) else Exit.DESIGN
+
+
+def _called(name: str) -> str:
+    return f"{name} ({AUTO})" if name == DEFAULT else name
 
 
 def _sizes(plant: Plant) -> str:

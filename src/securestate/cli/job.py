@@ -18,7 +18,7 @@ from securestate.errors import InputError, SecurestateWarning
 from securestate.estimators import ColdStart, Estimator, Run, cold_start, start_after, window_run
 from securestate.measurements import Measurements, read_history, read_measurements, write_run
 from securestate.plant import Plant
-from securestate.reporting import summarise, write_report
+from securestate.reporting import summarise, write_findings, write_report
 from securestate.reporting.beside import compare_runs
 
 BLOCK = 1000  # samples between two looks at the progress bar and at Ctrl-C
@@ -38,6 +38,7 @@ class Order:
     hold_inputs: bool
     out: Path | None
     report: Path | None
+    findings: Path | None
     covariance: bool
     quiet: bool
     exit_zero: bool
@@ -177,6 +178,10 @@ def _check(order: Order) -> None:
         if order.report.suffix.lower() not in (".html", ".htm"):
             raise InputError("--report", "a file name ending in .html", repr(str(order.report)))
         check_folder(order.report, "--report")
+    if order.findings is not None:
+        if order.findings.suffix.lower() != ".json":
+            raise InputError("--findings", "a file name ending in .json", repr(str(order.findings)))
+        check_folder(order.findings, "--findings")
     if order.covariance and (order.out is None or order.out.suffix.lower() != ".nc"):
         raise InputError(
             "--covariance", "--out with a .nc file, the only one that holds matrices", str(order.out)
@@ -187,17 +192,19 @@ def _check(order: Order) -> None:
 def _keep_inputs(order: Order) -> None:
     """Refuse to write over what is read, or twice over the same file."""
     taken = {path.resolve(): name for name, path in (("--plant", order.plant), ("--data", order.data))}
-    for name, path in (("--out", order.out), ("--report", order.report)):
+    outputs = (("--out", order.out), ("--report", order.report), ("--findings", order.findings))
+    for name, path in outputs:
         if path is not None and path.resolve() in taken:
             raise InputError(name, f"another file than {taken[path.resolve()]}", repr(str(path)))
 
 
 def _write(run: Run, beside: Run | None, said: list[str], order: Order) -> list[Path]:
-    written = []
+    written, source = [], order.data.name
     if order.out is not None:
         write_run(run, order.out)
         written.append(order.out)
     if order.report is not None:
-        source = order.data.name
         written.append(write_report(run, order.report, source=source, notes=said, beside=beside))
+    if order.findings is not None:
+        written.append(write_findings(run, order.findings, source=source))
     return written

@@ -15,12 +15,14 @@ from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.mixture_fusion import MixtureFusion
 from securestate.estimators.oracle import OracleFilter
 from securestate.estimators.protected_kalman import ProtectedKalman
-from securestate.estimators.registry import METHODS, Method
+from securestate.estimators.registry import AUTO, DEFAULT, METHODS, Method
 from securestate.estimators.run import Run
 from securestate.estimators.sparse_fusion import SparseFusion
 from securestate.estimators.window_run import start_after, window_run
 
 __all__ = [
+    "AUTO",
+    "DEFAULT",
     "METHODS",
     "AdaptiveJointFilter",
     "AdaptiveKalman",

@@ -40,10 +40,13 @@ class Method:
 
     @property
     def settings(self) -> tuple[str, ...]:
-        """Names of the settings that `design` takes."""
-        parameters = inspect.signature(self.design).parameters.values()
-        return tuple(p.name for p in parameters if p.kind is inspect.Parameter.KEYWORD_ONLY)
+        """Names of the settings that `design` takes: all its parameters but the first, the plant."""
+        return tuple(inspect.signature(self.design).parameters)[1:]
 
+
+#: The name that stands for the method to try first, and which one that is.
+AUTO = "auto"
+DEFAULT = "innovation-mixture"
 
 #: Every method by the name that users type, the one to try first in front.
 METHODS: Mapping[str, Method] = MappingProxyType(

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from securestate.reporting.clock import Clock
 from securestate.reporting.payload import Block, pack, pack_bytes
-from securestate.reporting.summary import Summary
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
     from securestate.plant import Plant
+    from securestate.reporting.summary import Summary
 
 BOUND = 3.0
 """Normalised innovations beyond ± BOUND are rare (0.27 %) when the model holds and nobody lies."""

@@ -17,6 +17,19 @@ UNITS = (("d", 86400.0, 14 * 86400.0), ("h", 3600.0, 3 * 3600.0), ("min", 60.0, 
 
 
 @dataclass(frozen=True)
+class Moment:
+    """One sample of a run: its index, and its time if the run has times (seconds or datetime64)."""
+
+    index: int
+    time: float | np.datetime64 | None
+
+    @classmethod
+    def of(cls, run: Run, index: int) -> Moment:
+        """The moment of a sample."""
+        return cls(int(index), None if run.time is None else run.time[index])
+
+
+@dataclass(frozen=True)
 class Clock:
     """The time of every sample. `values` (T,) are in `unit`; for unit "date" milliseconds since 1970."""
 
@@ -50,6 +63,10 @@ class Clock:
             whole = np.all(self.values % 60000 == 0)
             return str(np.datetime_as_string(moment, unit="m" if whole else "s")).replace("T", " ")
         return f"sample {index}" if self.unit == "sample" else f"{value:.{self.decimals}f} {self.unit}"
+
+    def moment(self, index: int) -> str:
+        """The time of one sample and its number; the same words where samples are the time."""
+        return self.text(index) if self.unit == "sample" else f"{self.text(index)} (sample {index})"
 
     @property
     def decimals(self) -> int:

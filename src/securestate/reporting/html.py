@@ -16,13 +16,14 @@ from typing import TYPE_CHECKING
 from plotly.offline import get_plotlyjs
 
 from securestate._words import enumerate_names
-from securestate.reporting import tables
+from securestate.reporting import sensor_table, tables
 from securestate.reporting.beside import compare_runs, section
 from securestate.reporting.blocks import manifest, pack_run
 from securestate.reporting.clock import Clock
 from securestate.reporting.page import asset, paragraphs, write_page
 from securestate.reporting.payload import pack_bytes
 from securestate.reporting.summary import Summary, summarise
+from securestate.reporting.telling import period
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
@@ -79,11 +80,12 @@ def render(
         title=escape(title or f"Sensor report: {summary.plant}".removesuffix(": ")),
         verdict=tables.headline(summary),
         tone="alarm" if summary.liars else "calm",
-        remarks=paragraphs([*_remarks(summary), *notes]),
+        findings=sensor_table.sentences(summary, clock),
+        remarks=paragraphs([*_remarks(summary, clock), *notes]),
         facts=tables.facts(run, summary, clock, source),
-        sensors=tables.sensors(summary, clock),
+        sensors=sensor_table.sensors(summary, clock),
         unknown=tables.unknown(summary),
-        statuses=tables.statuses(summary),
+        statuses=tables.statuses(summary, clock),
         beside=section(both),
         plant=tables.plant(run),
         manifest=_json(manifest(run, summary, clock, blocks)),
@@ -91,15 +93,12 @@ def render(
     )
 
 
-def _remarks(summary: Summary) -> list[str]:
+def _remarks(summary: Summary, clock: Clock) -> list[str]:
     silent = tuple(s.name for s in summary.sensors if s.missing == 1.0)
     remarks = [summary.caveat] if summary.caveat else []
     if silent:
         remarks.append(f"Sent nothing during the whole run: {enumerate_names(silent)}.")
-    bad = sum(s.count for s in summary.statuses if s.name != "OK")
-    if bad:
-        remarks.append(f"{bad:,} of {summary.samples:,} samples have a status other than OK; see Status.")
-    return remarks
+    return [*remarks, *(period(p, clock) for p in summary.findings.periods)]
 
 
 @lru_cache(maxsize=1)

@@ -10,26 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate._words import count, enumerate_names
-from securestate.errors import InputError
 from securestate.estimators.base import Status
+from securestate.reporting.clock import Moment
+from securestate.reporting.episodes import silent
+from securestate.reporting.findings import Findings, find
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
-
-WINDOW = 20
-"""A sensor lies if half of some WINDOW samples it sent in a row were suspected; fewer are isolated alarms."""
-
-
-BY_PROTECTED = ("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman", "JointFusion", "ProtectedKalman")
-"""Estimators in which protected sensors judge the others, so that a majority of these may lie."""
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One sample of a run: its index, and its time if the run has times (seconds or datetime64)."""
-
-    index: int
-    time: float | np.datetime64 | None
 
 
 @dataclass(frozen=True)
@@ -49,8 +36,9 @@ class Injection:
 class SensorSummary:
     """One sensor over a whole run. Shares are of all samples of the run, in [0, 1].
 
-    `lies` tells a sensor that was suspected persistently from one with isolated alarms: at least half of
-    some 20 samples in a row (of those it sent) were suspected. `since` is where that stretch begins.
+    `lies` tells a sensor that was suspected persistently from one with brief or isolated alarms: at least
+    half of some 20 samples in a row (of those it sent) were suspected. `since` is where the first such
+    stretch begins. `blamed`: it lies, and not only while at least half of all sensors were suspected at once.
     `uncheckable`: it may lie and no other sensor can vouch for it, so that no alarm is no evidence.
     """
 
@@ -61,6 +49,7 @@ class SensorSummary:
     missing: float
     first_alarm: Moment | None
     lies: bool
+    blamed: bool
     since: Moment | None
     injections: tuple[Injection, ...]
 
@@ -84,6 +73,7 @@ class Summary:
     plant: str
     estimator: str
     samples: int
+    findings: Findings
     sensors: tuple[SensorSummary, ...]
     statuses: tuple[StatusCount, ...]
     fast_path: float | None
@@ -97,12 +87,7 @@ class Summary:
 
     @property
     def verdict(self) -> str:
-        """One plain sentence.
-
-        Examples:
-            >>> Summary("", "SparseFusion", 9, (), (), None, None, None).verdict
-            'No sensor is suspected.'
-        """
+        """One or two plain sentences."""
         return self.verdict_with(str)
 
     @property
@@ -116,19 +101,23 @@ class Summary:
 
     def verdict_with(self, mark: Callable[[str], str]) -> str:
         """The verdict with every name in it as `mark` gives it, for instance as HTML."""
-        liars = self.liars
-        outvoted = not (self.estimator in BY_PROTECTED and any(s.protected for s in self.sensors))
-        if outvoted and 2 * len(liars) >= len(self.sensors) > 1:
+        blamed = tuple(s.name for s in self.sensors if s.blamed)
+        liars, total = self.liars, len(self.sensors)
+        if liars and not blamed:
             return (
-                f"{len(liars)} of {len(self.sensors)} sensors contradict the plant, too many to blame them: "
+                f"{len(liars)} of {total} sensors contradict the plant, too many to blame them: "
                 "check its matrices, units and inputs (`judge` says whether it still fits), and whether the "
                 "state starts at the operating point (else start with a window)."
             )
         if liars:
-            share = f"{len(liars)} of {len(self.sensors)} sensors {'lies' if len(liars) == 1 else 'lie'}"
-            return f"{share}: {enumerate_names(tuple(map(mark, liars)))}."
+            share = f"{len(blamed)} of {total} sensors {'lies' if len(blamed) == 1 else 'lie'}"
+            named = f"{share}: {enumerate_names(tuple(map(mark, blamed)))}."
+            others = len(liars) - len(blamed)
+            return f"{named} At times {others} more contradict the plant together." if others else named
         if any(s.first_alarm for s in self.sensors):
-            return "No sensor lies persistently; there are isolated alarms."
+            brief = tuple(dict.fromkeys(mark(f.sensor) for f in self.findings.found))
+            whose = f"brief alarms of {enumerate_names(brief)}" if brief else "isolated alarms"
+            return f"No sensor lies persistently; there are {whose}."
         if self.estimator == "KalmanFilter":
             return "KalmanFilter trusts every sensor: it does not look for liars."
         return "No sensor is suspected."
@@ -140,12 +129,13 @@ def summarise(run: Run) -> Summary:
     Raises:
         InputError: names `run` if it is a batch of runs or holds no sample.
     """
-    require_one_run(run)
+    findings = find(run)
     return Summary(
         plant=run.plant.name,
         estimator=run.estimator,
         samples=run.x.shape[0],
-        sensors=tuple(_sensor(run, i) for i in range(run.plant.n_sensors)),
+        findings=findings,
+        sensors=tuple(_sensor(run, findings, i) for i in range(run.plant.n_sensors)),
         statuses=_statuses(run.status),
         fast_path=_fast_path(run),
         iterations=_iterations(run),
@@ -153,60 +143,26 @@ def summarise(run: Run) -> Summary:
     )
 
 
-def require_one_run(run: Run) -> None:
-    """Raise InputError unless `run` is one run of at least one sample."""
-    if run.x.ndim != 2 or run.x.shape[0] == 0:
-        raise InputError("run", "one run, x of shape (T, n) with T >= 1", f"x of shape {run.x.shape}")
-
-
-def _sensor(run: Run, i: int) -> SensorSummary:
-    suspected, missing = run.suspected[:, i], _silent(run, i)
-    since = _persistent_since(suspected, missing)
+def _sensor(run: Run, findings: Findings, i: int) -> SensorSummary:
+    suspected, name = run.suspected[:, i], run.plant.sensor_names[i]
+    lies = [f for f in findings.of(name) if f.persistent]
+    first = _first(suspected)
     return SensorSummary(
-        name=run.plant.sensor_names[i],
+        name=name,
         protected=bool(run.plant.protected[i]),
         uncheckable=bool(run.plant.uncheckable[i]),
         suspected=float(suspected.mean()),
-        missing=float(missing.mean()),
-        first_alarm=_moment(run, _first(suspected)),
-        lies=since is not None,
-        since=_moment(run, since),
+        missing=float(silent(run, i).mean()),
+        first_alarm=None if first is None else Moment.of(run, first),
+        lies=bool(lies),
+        blamed=any(f.lies for f in lies),
+        since=min((f.since for f in lies), key=lambda moment: moment.index, default=None),
         injections=_injections(run, i),
     )
 
 
-def _silent(run: Run, i: int) -> NDArray[np.bool_]:
-    """Where a sensor sent nothing, (T,): no channel has an innovation or, in a cold start, an injection.
-
-    A trust of NaN alone does not say so: what arrived may be impossible to check.
-    """
-    own = run.plant.channels_of(i)
-    unheard = np.isnan(run.innovation[:, own]) & np.isnan(run.attack[:, own])
-    silent: NDArray[np.bool_] = np.isnan(run.trust[:, i]) & unheard.all(axis=1)
-    return silent
-
-
 def _first(flags: NDArray[np.bool_]) -> int | None:
     return int(np.argmax(flags)) if flags.any() else None
-
-
-def _moment(run: Run, index: int | None) -> Moment | None:
-    if index is None:
-        return None
-    return Moment(index, None if run.time is None else run.time[index])
-
-
-def _persistent_since(suspected: NDArray[np.bool_], missing: NDArray[np.bool_]) -> int | None:
-    """Index of the first suspected sample in the first WINDOW sent samples that are half suspected."""
-    sent = np.flatnonzero(~missing | suspected)
-    if sent.size == 0:
-        return None
-    width = min(WINDOW, sent.size)
-    total = np.concatenate([[0], np.cumsum(suspected[sent])])
-    start = _first(2 * (total[width:] - total[:-width]) >= width)
-    if start is None:
-        return None
-    return int(sent[start + int(np.argmax(suspected[sent[start:]]))])
 
 
 def _injections(run: Run, i: int) -> tuple[Injection, ...]:

@@ -1,8 +1,7 @@
-"""The tables of the report, as HTML. Every name from a file is escaped here."""
+"""The tables of the report but that of the sensors, as HTML. Every name from a file is escaped here."""
 
 from __future__ import annotations
 
-import math
 import os
 import re
 from collections.abc import Iterable, Sequence
@@ -10,15 +9,19 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from securestate._words import count
+from securestate.estimators.base import Status
 from securestate.reporting.blocks import channel_noise
-from securestate.reporting.clock import Clock
-from securestate.reporting.page import definitions, percent, table
-from securestate.reporting.summary import Moment, SensorSummary, Summary
+from securestate.reporting.clock import Clock, Moment
+from securestate.reporting.page import definitions, table
+from securestate.reporting.periods import meaning
+from securestate.reporting.summary import Summary
+from securestate.reporting.telling import stretch
 
 if TYPE_CHECKING:
     from securestate.estimators.run import Run
 
-HEAD = ("Sensor", "Verdict", "Suspected", "Lies since", "First alarm", "Estimated injection", "Missing")
+STRETCHES = 8
+"""So many stretches of a status are listed."""
 
 
 def facts(run: Run, summary: Summary, clock: Clock, source: str | os.PathLike[str] | None) -> str:
@@ -57,104 +60,32 @@ def _unbroken(name: str) -> str:
     return f"<span>{escape(re.sub(r' (?=[0-9])', chr(0xA0), name))}</span>"
 
 
-def sensors(summary: Summary, clock: Clock) -> str:
-    """A table of the sensors there is something to say about, liars first; the others are listed below it."""
-    ranked = sorted(summary.sensors, key=lambda s: (not s.lies, s.missing < 1.0, -s.suspected, -s.missing))
-    told = [s for s in ranked if s.first_alarm is not None or s.missing > 0 or s.uncheckable]
-    quiet = [s for s in ranked if s not in told]
-    return _notable(told, clock) + _quiet(quiet, everyone=not told)
-
-
-def _notable(told: Sequence[SensorSummary], clock: Clock) -> str:
-    """One row per sensor, without the columns in which nobody has an entry."""
-    cells = [_sensor_cells(s, clock) for s in told]
-    used = [k for k in range(len(HEAD)) if any(row[k] for row in cells)]
-    head = [HEAD[k] for k in used]
-    rows = [
-        _row(head, [row[k] for k in used], "liar" if s.lies else "")
-        for s, row in zip(told, cells, strict=True)
-    ]
-    return table(head, rows) if rows else ""
-
-
-def _quiet(quiet: Sequence[SensorSummary], *, everyone: bool) -> str:
-    if not quiet:
-        return ""
-    label = f"No alarm from {'any sensor' if everyone else count(len(quiet), 'other sensor')}"
-    ends = [","] * (len(quiet) - 1) + ["."]
-    names = " ".join(f"<span>{_name(s)}{end}</span>" for s, end in zip(quiet, ends, strict=True))
-    return f'<p class="quiet"><b>{label}:</b> {names}</p>'
-
-
-def _name(s: SensorSummary) -> str:
-    alone = "cannot be checked" if s.uncheckable and s.first_alarm else ""
-    tag = "protected" if s.protected else alone
-    return escape(s.name) + (f' <span class="tag">{tag}</span>' if tag else "")
-
-
-def _sensor_cells(s: SensorSummary, clock: Clock) -> tuple[str, ...]:
-    return (
-        _name(s),
-        f'<span class="verdict-{_verdict(s).replace(" ", "-")}">{_verdict(s)}</span>',
-        _share(s.suspected),
-        _moment(s.since, clock),
-        _moment(s.first_alarm, clock),
-        "<br>".join(_known_injections(s)),
-        _share(s.missing),
+def statuses(summary: Summary, clock: Clock) -> str:
+    """Counts, times and advice per status, and the solver's figures; room for a chart if any is not OK."""
+    stretches = {p.status: p.stretches for p in summary.findings.periods}
+    head = ("Status", "Samples", *(("When",) if stretches else ()), "What to do")
+    rows = (
+        (
+            _key(s.name),
+            f"{s.count:,}",
+            *((_stretches(stretches.get(s.name, ()), clock),) if stretches else ()),
+            escape(_sentence(meaning(Status[s.name]))),
+        )
+        for s in summary.statuses
     )
+    chart = '<div class="plot"></div>' if stretches else ""
+    return f"{plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>{chart}"
 
 
-def _verdict(s: SensorSummary) -> str:
-    if s.lies:
-        return "lies"
-    if s.missing == 1.0:
-        return "no data"
-    if s.first_alarm is not None:
-        return "isolated alarms"
-    return "cannot be checked" if s.uncheckable else "no alarm"
+def _sentence(half: str) -> str:
+    return f"{half[:1].upper()}{half[1:]}."
 
 
-def _moment(moment: Moment | None, clock: Clock) -> str:
-    if moment is None:
-        return ""
-    return f'<button class="go" data-sample="{moment.index}">{escape(clock.text(moment.index))}</button>'
-
-
-def _share(share: float) -> str:
-    return percent(share) if share else ""
-
-
-def _known_injections(s: SensorSummary) -> Iterable[str]:
-    """One line per channel that has an estimate; the channel is named if there are several."""
-    for i in s.injections:
-        if not math.isnan(i.median):
-            text = f"{measured(i.median, i.spread)} {i.unit}".strip()
-            yield escape(f"{i.channel}: {text}" if len(s.injections) > 1 else text)
-
-
-def measured(value: float, spread: float) -> str:
-    """A value with its spread, as many digits as the spread deserves.
-
-    Examples:
-        >>> measured(12.3456, 0.0321), measured(-4210.0, 130.0), measured(3e-9, 1e-10)
-        ('+12.346 ± 0.032', '−4210 ± 130', '+3e-09 ± 1e-10')
-    """
-    size = max(abs(value), spread)
-    if size and not 1e-3 <= size < 1e6:
-        text = f"{value:+.3g} ± {spread:.2g}"
-    else:
-        last = spread if spread > 0 else size or 1.0
-        digits = min(6, max(0, 1 - math.floor(math.log10(last))))
-        text = f"{value:+.{digits}f} ± {spread:.{digits}f}"
-    return text.replace("-", "−", 1) if text.startswith("-") else text
-
-
-def statuses(summary: Summary) -> str:
-    """Counts and advice per status, and the solver's figures; room for a chart if any is not OK."""
-    head = ("Status", "Samples", "What to do")
-    rows = ((_key(s.name), f"{s.count:,}", escape(s.advice)) for s in summary.statuses)
-    chart = "" if all(s.name == "OK" for s in summary.statuses) else '<div class="plot"></div>'
-    return f"{_plain_table(head, rows)}<p>{' '.join(_solver(summary))}</p>{chart}"
+def _stretches(stretches: Sequence[tuple[Moment, Moment]], clock: Clock) -> str:
+    """The first stretches, each a link, and how many more there are."""
+    shown = [linked(escape(stretch(*ends, clock)), ends[0], clock) for ends in stretches[:STRETCHES]]
+    more = len(stretches) - STRETCHES
+    return "<br>".join([*shown, *([f"and {more:,} more"] if more > 0 else [])])
 
 
 def _key(status: str) -> str:
@@ -194,8 +125,8 @@ def plant(run: Run) -> str:
         for c, owner in enumerate(p.channel_sensor)
     )
     return (
-        f"<h3>Settings</h3>{_plain_table(('Setting', 'Value'), _settings(run))}"
-        f"<h3>Channels</h3>{_plain_table(head, rows)}"
+        f"<h3>Settings</h3>{plain_table(('Setting', 'Value'), _settings(run))}"
+        f"<h3>Channels</h3>{plain_table(head, rows)}"
     )
 
 
@@ -211,14 +142,25 @@ def _settings(run: Run) -> Iterable[tuple[str, str]]:
         yield "inputs", escape(", ".join(p.input_names))
 
 
-def _plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    return table(head, [_row(head, cells) for cells in rows])
+def plain_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A table of cells that are HTML already."""
+    return table(head, [row(head, cells) for cells in rows])
 
 
-def _row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
+def row(head: Sequence[str], cells: Sequence[str], kind: str = "") -> str:
     """A row; on a phone every cell carries its heading, and empty cells are left out."""
     columns = (
         f'<td data-label="{h}">{c}</td>' if c else f'<td data-label="{h}" class="empty">–</td>'
         for h, c in zip(head, cells, strict=True)
     )
     return f'<tr class="{kind}">{"".join(columns)}</tr>'
+
+
+def moment(at: Moment, clock: Clock) -> str:
+    """A time as a link that shows it in the charts."""
+    return f'<button class="go" data-sample="{at.index}">{escape(clock.text(at.index))}</button>'
+
+
+def linked(told: str, at: Moment, clock: Clock) -> str:
+    """A sentence, HTML already, with the first mention of a time as a link."""
+    return told.replace(escape(clock.text(at.index)), moment(at, clock), 1)

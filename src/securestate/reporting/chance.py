@@ -1,0 +1,67 @@
+"""Whether chance explains a brief episode: by the stated rate, and by the way the alarms of a run cluster."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from securestate.reporting.episodes import Episode
+
+RARE = 0.01
+"""A brief episode is told if honest sensors would give fewer than so many in the whole run."""
+
+CHAINED, ALARMS = 1, 4
+"""Before any is seen: of ALARMS alarms of an honest sensor so many are taken to follow another one."""
+
+
+@dataclass(frozen=True)
+class Chance:
+    """What honest sensors do in a run.
+
+    A method with a memory that errs once errs again soon, so that its false alarms are as many as stated but
+    not independent. How often one follows another is taken from the brief episodes of the other sensors.
+
+    Attributes:
+        rate: false alarms per sample of an honest sensor, or None if it is not stated.
+        samples: samples of all sensors together.
+        alarms: how many there are in episodes that do not persist, per sensor, (N,).
+        episodes: how many such episodes there are, (N,).
+    """
+
+    rate: float | None
+    samples: int
+    alarms: NDArray[np.int_]
+    episodes: NDArray[np.int_]
+
+    @classmethod
+    def of(
+        cls, each: Sequence[tuple[int, Episode]], sensors: int, samples: int, rate: float | None
+    ) -> Chance:
+        """From all episodes of a run, each with the number of its sensor."""
+        brief = [(i, e.suspected) for i, e in each if not e.persistent]
+        who = np.array([i for i, _ in brief], dtype=int)
+        size = np.array([k for _, k in brief], dtype=int)
+        alarms = np.bincount(who, size, sensors).astype(int)
+        return cls(rate, samples, alarms, np.bincount(who, minlength=sensors))
+
+    def explains(self, sensor: int, episode: Episode) -> bool:
+        """Whether RARE or more episodes like this one are expected of honest sensors.
+
+        Examples:
+            >>> alone = Chance(1e-3, 10_000, alarms=np.array([5, 0]), episodes=np.array([1, 0]))
+            >>> row = lambda k: Episode(70, 69 + k, suspected=k, sent=k, persistent=False, until_end=False)
+            >>> [alone.explains(0, row(k)) for k in (2, 4, 5)]
+            [True, True, False]
+            >>> usual = Chance(1e-3, 10_000, alarms=np.array([5, 40]), episodes=np.array([1, 10]))
+            >>> usual.explains(0, row(5))
+            True
+        """
+        if self.rate is not None and episode.by_chance(self.rate, self.samples) >= RARE:
+            return True
+        alarms = int(self.alarms.sum() - self.alarms[sensor])
+        others = int(self.episodes.sum() - self.episodes[sensor])
+        again = (alarms - others + CHAINED) / (alarms + ALARMS)
+        return float((others + 1) * again ** (episode.suspected - 1)) >= RARE
