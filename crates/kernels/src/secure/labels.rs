@@ -283,6 +283,14 @@ impl Labels {
         (0..size).map(|c| self.turn[one.block + c * size + a] * self.z[one.first + c]).sum()
     }
 
+    /// The same of z over its deviation.
+    #[inline(always)]
+    fn standardised(&self, one: &Arrived, a: usize) -> f64 {
+        let size = one.size;
+        let part = |c: usize| self.z[one.first + c] / self.v[one.first + c].sqrt();
+        (0..size).map(|c| self.turn[one.block + c * size + a] * part(c)).sum()
+    }
+
     /// μ and τ² from the wild; with normal-inverse-gamma prior: one observation at 0.
     #[inline(always)]
     fn learn(&mut self, sample: &Sample, settings: &Settings) {
@@ -294,7 +302,7 @@ impl Labels {
             let weight = 1.0 - self.honest[index] - self.biased[index] - self.constant[index];
             count += weight;
             for (a, mu) in mu[..one.size].iter_mut().enumerate() {
-                let value = self.unturned(one, a);
+                let value = self.standardised(one, a);
                 *mu += weight * value;
                 square += weight * value * value;
             }
@@ -375,12 +383,21 @@ impl Labels {
             }
             (-0.5 * square, 1.0 / det.sqrt())
         };
+        let wide = |center: Option<&[f64]>, added: f64| {
+            let (mut square, mut det) = (0.0, 1.0);
+            for a in 0..size {
+                let d = z[a] / v[a].sqrt() - center.map_or(0.0, |center| center[a]);
+                square += d * d;
+                det *= v[a] * (1.0 + added);
+            }
+            (-0.5 * square / (1.0 + added), 1.0 / det.sqrt())
+        };
         let parts = [
             gauss(None, 0.0),
             gauss(Some(&scratch.turned[1]), prior.scatter[index]),
             gauss(Some(&scratch.turned[2]), prior.spread[index]),
-            gauss(None, settings.kappa),
-            gauss(Some(&scratch.turned[0]), self.tau2),
+            wide(None, settings.kappa),
+            wide(Some(&scratch.turned[0]), self.tau2),
         ];
         let largest = parts.iter().fold(f64::NEG_INFINITY, |largest, part| largest.max(part.0));
         if !largest.is_finite() {
@@ -498,10 +515,16 @@ impl Labels {
         if let Some(index) = biased {
             return gauss(Some(&prior.bias[one.first..one.first + one.size]), prior.spread[index]);
         }
-        let parts = [
-            gauss(None, settings.kappa),
-            gauss(Some(&self.mu), self.tau2),
-        ];
+        let wide = |center: Option<&[f64]>, added: f64| {
+            (0..one.size).fold(0.0, |log, a| {
+                let channel = one.first + a;
+                let variance = 1.0 + scratch.variance[channel];
+                let d = (sample.residual[channel] - scratch.shift[channel]) / variance.sqrt();
+                let d = d - center.map_or(0.0, |center| center[a]);
+                log - 0.5 * (d * d / (1.0 + added) + (variance * (1.0 + added)).ln())
+            })
+        };
+        let parts = [wide(None, settings.kappa), wide(Some(&self.mu), self.tau2)];
         let largest = parts.iter().fold(f64::NEG_INFINITY, |a, &b| a.max(b));
         let sum: f64 = parts.iter().zip(&settings.shares).map(|(log, share)| share * (log - largest).exp()).sum();
         largest + sum.ln()

@@ -105,6 +105,7 @@ impl Memory {
         }
         let (begin, settle, end) = settings.steady;
         let (first, change) = settings.bias;
+        let first_of = first;
         let wander = settings.wander;
         let mut channel = 0;
         for (i, &size) in settings.sizes.iter().enumerate() {
@@ -116,6 +117,7 @@ impl Memory {
             let (constant, steady) = (self.constant[i], self.steady[i]);
             let new = (1.0 - steady - constant - self.wild[i]).max(0.0) * begin / 2.0;
             let from = self.wild[i] * settle / 2.0;
+            let first = first_of * self.open[i];
             let turn = settings.turn;
             let sum = |on: f64, other: f64| on * (1.0 - end - turn) + other * turn + new + from;
             let parts = [

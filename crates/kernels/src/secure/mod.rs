@@ -23,8 +23,9 @@ use crate::secure::robust::Regression;
 use crate::secure::settings::Settings;
 use crate::{Dims, Error, Estimator, Output, Result};
 
-/// Beliefs that sweeps begin from: what is remembered, a gate on the prediction, a robust regression.
-const STARTS: usize = 3;
+/// Beliefs that sweeps begin from: what is remembered, a gate on the prediction, a robust regression, and, in doubt, the
+/// opposite of what was believed.
+const STARTS: usize = 4;
 
 /// Weight of the second labelling from which on it is merged.
 const RIVAL: f64 = 0.01;
@@ -157,18 +158,21 @@ impl Secure {
 
     /// Every labelling that sweeps arrive at.
     #[inline(always)]
-    fn explain(&self, work: &mut Work) {
+    fn explain(&self, work: &mut Work, doubted: bool) {
         let settings = &self.settings;
         let arrived = work.sample.arrived.len();
         work.found = 0;
         for start in 0..STARTS {
-            let Work { sample, prior, information, scratch, trials, regression, eta, found, .. } = work;
+            let Work { sample, prior, information, scratch, trials, regression, kept, found, .. } = work;
             let (before, rest) = trials.split_at_mut(*found);
             let trial = &mut rest[0];
             match start {
                 0 => trial.begin(sample, prior, |index, _| (prior.honest[index], prior.constant[index])),
                 1 => trial.begin(sample, prior, |index, one| (gate(settings, sample, prior, index, one.size), 0.0)),
-                _ if settings.starts[2] => regression.begin(trial, (sample, prior), settings, information, scratch),
+                3 if doubted => {
+                    trial.begin(sample, prior, |index, _| (f64::from(u8::from(kept.honest[index] <= 0.5)), 0.0));
+                }
+                2 if settings.starts[2] => regression.begin(trial, (sample, prior), settings, information, scratch),
                 _ => continue,
             }
             for _ in 0..settings.cap {
@@ -180,8 +184,6 @@ impl Secure {
             if !before.iter().any(|other| other.agrees(trial, arrived)) {
                 *found += 1;
             }
-            let count = information.count();
-            let _ = (count, eta);
         }
         if work.found > 1 {
             let Work { sample, prior, information, scratch, trials, eta, found, .. } = work;
@@ -285,10 +287,10 @@ impl Secure {
         inflated.d.iter_mut().for_each(|d| *d *= settings.doubt.1);
         self.measure(work, &inflated, memory);
         work.inflated = inflated;
-        self.explain(work);
+        self.explain(work, true);
         let fresh = self.choose(work);
         if !fresh.outvoted {
-            return fresh;
+            return Verdict { rival: None, ..fresh };
         }
         memory.copy_from(&work.remembered);
         self.measure(work, prior, memory);
@@ -335,7 +337,7 @@ impl Secure {
         self.model.innovation(*k, x, (y, u), &mut work.innovation);
         self.measure(work, prior, memory);
         self.innovation_std(work, *k, prior, out.innovation_std);
-        self.explain(work);
+        self.explain(work, false);
         let verdict = self.choose(work);
         let mut verdict = self.doubt(work, memory, prior, verdict);
         self.conclude(work, &mut verdict);
@@ -357,7 +359,7 @@ const VOTES: usize = 8;
 #[inline(always)]
 fn gate(settings: &Settings, sample: &Sample, prior: &Prior, index: usize, size: usize) -> f64 {
     let square = sample.square[index];
-    let broad = 1.0 + settings.kappa / sample.log_det[index].exp().powf(1.0 / size as f64);
+    let broad = 1.0 + settings.kappa;
     let exponent = 0.5 * square * (1.0 - 1.0 / broad) - 0.5 * size as f64 * broad.ln();
     let lies = 1.0 - prior.honest[index];
     1.0 / (1.0 + lies / prior.honest[index].max(1e-12) * exponent.clamp(-50.0, 50.0).exp())
