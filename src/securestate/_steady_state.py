@@ -134,8 +134,10 @@ def doubling(A: Array, C: Array, Q: Array, R: Array, steps: int = 60) -> Array |
         try:
             G = C.T @ linalg.cho_solve(linalg.cho_factor(R), C)
             for _ in range(steps):
-                W = np.linalg.solve(I + G @ P, np.hstack([A, G]))
-                W_A, W_G = W[:, : len(I)], W[:, len(I) :]
+                *_, W, singular = linalg.lapack.dgesv(I + G @ P, np.hstack([A, G]))
+                if singular:
+                    return None
+                W_A, W_G = np.hsplit(np.ascontiguousarray(W), 2)
                 A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
                 change, size = np.max(np.abs(new - P)), np.max(np.abs(new))
                 if not np.isfinite(size):
