@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from securestate import Plant, Sensor
 
@@ -23,9 +24,8 @@ def liu_record(steps: int, seed: int, attack: Array | float = 0.0) -> tuple[Arra
     rng = np.random.default_rng(seed)
     w, v = rng.standard_normal((steps, 3)), rng.standard_normal((steps, 5))
     x = np.zeros((steps, 3))
-    closed = np.diag([1.0, 1.0, -2.0]) - LIU_L
-    for k in range(steps - 1):
-        x[k + 1] = closed @ x[k] + w[k]
+    for i, value in enumerate(np.array([1.0, 1.0, -2.0]) - np.diag(LIU_L)):
+        x[1:, i] = lfilter([1.0], [1.0, -value], w[:-1, i])  # x[k+1] = value x[k] + w[k]
     return x, x @ LIU_C.T + v + attack, -x @ LIU_L.T
 
 
