@@ -41,7 +41,8 @@ lint: setup ## ruff: rules and format
 	$(PY) -m ruff format --check --quiet --diff .
 
 types: setup ## mypy --strict, and the kernels' stubs against the built module
-	$(PY) -m mypy.stubtest --concise --ignore-disjoint-bases securestate._kernels & stubs=$$!; \
+	$(PY) -m mypy.stubtest --mypy-config-file scripts/stubtest.ini --concise --ignore-disjoint-bases \
+	  securestate._kernels & stubs=$$!; \
 	$(PY) -m mypy --no-color-output; types=$$?; wait $$stubs && exit $$types
 
 contracts: setup ## imports point down only

@@ -165,17 +165,6 @@ def test_every_fence_is_closed_and_read() -> None:
         assert len(fences) == 2 * len(blocks(name)), name
 
 
-def test_make_run_prints_what_the_readme_shows(tmp_path: Path) -> None:
-    shown = dict(
-        pair for block in blocks("README.md") if block.language == "console" for pair in commands(block)
-    )
-    recipe = re.search(r"^run:.*\n\t@?\$\(PY\) (\S+)", page("Makefile"), re.MULTILINE)
-    assert recipe
-    done = in_shell(f"python {ROOT / recipe[1]} --out {tmp_path}", tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert_shown("README.md, make run", shown["make run"], done.stdout)
-
-
 def test_every_relative_link_leads_to_a_file_and_a_heading() -> None:
     for name in PAGES:
         text = FENCE.sub("", page(name))

@@ -130,16 +130,20 @@ def doubling(A: Array, C: Array, Q: Array, R: Array, steps: int = 60) -> Array |
     Step k holds the Riccati recursion after 2^k samples. A (n, n), C (m, n), Q (n, n), R (m, m).
     """
     A, P, I = A.T, Q, np.eye(len(A))
-    with np.errstate(all="ignore"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with np.errstate(all="ignore"):
         try:
             G = C.T @ linalg.cho_solve(linalg.cho_factor(R), C)
             for _ in range(steps):
-                W = linalg.solve(I + G @ P, np.hstack([A, G]))
-                W_A, W_G = W[:, : len(I)], W[:, len(I) :]
+                *_, W, singular = linalg.lapack.dgesv(I + G @ P, np.hstack([A, G]))
+                if singular:
+                    return None
+                W_A, W_G = np.hsplit(np.ascontiguousarray(W), 2)
                 A, G, new = A @ W_A, _symmetric(G + A @ W_G @ A.T), _symmetric(P + A.T @ P @ W_A)
-                if np.max(np.abs(new - P)) <= 1e-15 * np.max(np.abs(new)):
-                    return new if np.all(np.isfinite(new)) else None
+                change, size = np.max(np.abs(new - P)), np.max(np.abs(new))
+                if not np.isfinite(size):
+                    return None
+                if change <= 1e-15 * size:
+                    return new
                 P = new
         except (linalg.LinAlgError, ValueError):
             return None

@@ -1,5 +1,6 @@
 """A folder with a plant and files of measurements, and a command line run in it."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -8,14 +9,22 @@ from securestate.cli import execute
 from tests.cli.helpers import PLANT, Command, Outcome, measurements
 
 
-@pytest.fixture
-def folder(tmp_path: Path) -> Path:
-    """A folder with plant.toml, honest.csv and lying.csv: flow 2 adds 8 from sample 100 on."""
-    PLANT.save(tmp_path / "plant.toml")
+@pytest.fixture(scope="session")
+def originals(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What `folder` is a copy of."""
+    path = tmp_path_factory.mktemp("originals")
+    PLANT.save(path / "plant.toml")
     frame = measurements(300)
-    frame.to_csv(tmp_path / "honest.csv", index=False)
+    frame.to_csv(path / "honest.csv", index=False)
     frame.loc[100:, "flow 2"] += 8
-    frame.to_csv(tmp_path / "lying.csv", index=False)
+    frame.to_csv(path / "lying.csv", index=False)
+    return path
+
+
+@pytest.fixture
+def folder(originals: Path, tmp_path: Path) -> Path:
+    """A folder with plant.toml, honest.csv and lying.csv: flow 2 adds 8 from sample 100 on."""
+    shutil.copytree(originals, tmp_path, dirs_exist_ok=True)
     return tmp_path
 
 

@@ -1,6 +1,9 @@
 """A plant with five flow meters of which files are made: honest, or with one meter lying."""
 
+import tempfile
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +36,11 @@ Command = Callable[..., Outcome]
 
 def measurements(samples: int, seed: int = 1) -> pd.DataFrame:
     """Return what honest sensors send, with the time."""
+    return _measurements(samples, seed).copy()
+
+
+@cache
+def _measurements(samples: int, seed: int) -> pd.DataFrame:
     rng = np.random.default_rng(seed)
     noise, process = rng.standard_normal((samples, PLANT.m)), rng.standard_normal((samples, PLANT.n))
     x, y = np.zeros(PLANT.n), np.empty((samples, PLANT.m))
@@ -42,6 +50,20 @@ def measurements(samples: int, seed: int = 1) -> pd.DataFrame:
     frame = pd.DataFrame(y, columns=list(PLANT.channel_names))
     frame.insert(0, "time", PLANT.dt * np.arange(samples))
     return frame
+
+
+@cache
+def plant_file() -> bytes:
+    """The plant as a file."""
+    with tempfile.TemporaryDirectory() as folder:
+        PLANT.save(Path(folder) / "plant.toml")
+        return (Path(folder) / "plant.toml").read_bytes()
+
+
+@cache
+def measurement_file(samples: int) -> str:
+    """What honest sensors send as a file."""
+    return str(measurements(samples).to_csv(index=False))
 
 
 def history(samples: int, seed: int = 1) -> pd.DataFrame:

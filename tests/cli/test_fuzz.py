@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from securestate import Plant
 from securestate.cli import execute
-from tests.cli.helpers import PLANT, history, measurements
+from tests.cli.helpers import history, measurement_file, plant_file
 
 SPLICES = [
     b"",
@@ -45,8 +45,8 @@ def damage(path: Path, data: st.DataObject) -> None:
 def test_a_damaged_file_ends_in_a_documented_code_with_a_whole_result_or_none(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], damaged: str, method: str, data: st.DataObject
 ) -> None:
-    PLANT.save(tmp_path / "plant.toml")
-    measurements(30).to_csv(tmp_path / "data.csv", index=False)
+    (tmp_path / "plant.toml").write_bytes(plant_file())
+    (tmp_path / "data.csv").write_text(measurement_file(30))
     damage(tmp_path / damaged, data)
     out = tmp_path / "states.csv"
     out.unlink(missing_ok=True)
@@ -89,8 +89,8 @@ def test_a_damaged_history_ends_in_a_documented_code_with_a_whole_plant_or_none(
 def test_a_damaged_file_is_judged_with_a_documented_code(
     tmp_path: Path, capfd: pytest.CaptureFixture[str], damaged: str, data: st.DataObject
 ) -> None:
-    PLANT.save(tmp_path / "plant.toml")
-    measurements(60).to_csv(tmp_path / "data.csv", index=False)
+    (tmp_path / "plant.toml").write_bytes(plant_file())
+    (tmp_path / "data.csv").write_text(measurement_file(60))
     damage(tmp_path / damaged, data)
     code = execute(["judge", str(tmp_path / "plant.toml"), str(tmp_path / "data.csv"), "--quiet"])
     err = capfd.readouterr().err

@@ -1,5 +1,7 @@
 """Plants and records for the tests of sparse fusion."""
 
+from itertools import accumulate
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,10 +24,10 @@ def liu_record(steps: int, seed: int, attack: Array | float = 0.0) -> tuple[Arra
     """States, measurements and inputs of Liu's plant in closed loop."""
     rng = np.random.default_rng(seed)
     w, v = rng.standard_normal((steps, 3)), rng.standard_normal((steps, 5))
-    x = np.zeros((steps, 3))
-    closed = np.diag([1.0, 1.0, -2.0]) - LIU_L
-    for k in range(steps - 1):
-        x[k + 1] = closed @ x[k] + w[k]
+    x = np.empty((steps, 3))
+    for i, value in enumerate((np.array([1.0, 1.0, -2.0]) - np.diag(LIU_L)).tolist()):
+        drive = w[:-1, i].tolist()
+        x[:, i] = list(accumulate(drive, lambda x, w, value=value: value * x + w, initial=0.0))
     return x, x @ LIU_C.T + v + attack, -x @ LIU_L.T
 
 

@@ -46,6 +46,7 @@ def test_the_error_in_the_scenario_of_chen_2022_is_a_fifth_below_that_of_the_pro
     assert 0.40 < guarded_only < 0.43
 
 
+@cache
 def lies(T: int, runs: int) -> dict[str, Array]:
     """Signals of size 1 from sample 20 on, (runs, T)."""
     k, rng = np.arange(T), np.random.default_rng(5)

@@ -68,11 +68,11 @@ def honest_data(plant: Plant, T: int, seed: int) -> tuple[Array, Array]:
     w = rng.multivariate_normal(np.zeros(plant.n), plant.Q, size=T)
     v = rng.multivariate_normal(np.zeros(plant.m), plant.R, size=T)
     u = rng.normal(size=(T, plant.n_inputs))
-    x, y = rng.multivariate_normal(np.zeros(plant.n), steady.P_prior), np.empty((T, plant.m))
-    for k in range(T):
-        y[k] = plant.C @ x + plant.D @ u[k] + v[k]
-        x = plant.A @ x + plant.B @ u[k] + w[k]
-    return y, u
+    x, driven = np.empty((T, plant.n)), u @ plant.B.T + w
+    x[0] = rng.multivariate_normal(np.zeros(plant.n), steady.P_prior)
+    for k in range(T - 1):
+        x[k + 1] = plant.A @ x[k] + driven[k]
+    return x @ plant.C.T + u @ plant.D.T + v, u
 
 
 def attacked_data(plant: Plant, T: int, seed: int, *, missing: float = 0.0) -> tuple[Array, Array]:

@@ -74,14 +74,20 @@ def random_plant(seed: int, n: int, *, sensors: int = 6, inputs: int = 2) -> Pla
     return Plant(A, 0.2 * root @ root.T + 0.1 * np.eye(n), made, B=B)
 
 
+def root(cov: Array) -> Array:
+    """M with M' M = cov."""
+    _, values, Vh = np.linalg.svd(cov)
+    return np.asarray(np.sqrt(values)[:, None] * Vh)
+
+
 def attacked_data(plant: Plant, T: int, seed: int, *, missing: float = 0.0) -> tuple[Array, Array]:
     """Readings in sensor units, of which some sensors' are far off now and then, and inputs."""
     rng = np.random.default_rng(seed)
     u = rng.normal(size=(T, plant.n_inputs))
-    x, y = np.zeros(plant.n), np.empty((T, plant.m))
+    x, y, v, w = np.zeros(plant.n), np.empty((T, plant.m)), root(plant.R), root(plant.Q)
     for k in range(T):
-        y[k] = plant.C @ x + plant.D @ u[k] + rng.multivariate_normal(np.zeros(plant.m), plant.R)
-        x = plant.A @ x + plant.B @ u[k] + rng.multivariate_normal(np.zeros(plant.n), plant.Q)
+        y[k] = plant.C @ x + plant.D @ u[k] + rng.standard_normal(plant.m) @ v
+        x = plant.A @ x + plant.B @ u[k] + rng.standard_normal(plant.n) @ w
     lies = (rng.random((T, plant.n_sensors)) < 0.2)[:, plant.channel_sensor]
     y = np.where(lies, y + rng.normal(scale=10, size=y.shape), y)
     y[rng.random(y.shape) < missing] = np.nan

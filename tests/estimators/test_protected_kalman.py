@@ -103,14 +103,13 @@ def test_noise_that_no_sensor_shares_and_engineering_units_equal_the_textbook() 
 def honest(plant: Plant, T: int, seed: int) -> tuple[Array, Array]:
     rng, steady = np.random.default_rng(seed), KalmanFilter(alone(plant)[0]).steady
     assert steady is not None
-    u, y = rng.normal(size=(T, plant.n_inputs)), np.empty((T, plant.m))
+    u, x = rng.normal(size=(T, plant.n_inputs)), np.empty((T, plant.n))
     w = rng.multivariate_normal(np.zeros(plant.n), plant.Q, T)
     v = rng.multivariate_normal(np.zeros(plant.m), plant.R, T)
-    x = rng.multivariate_normal(np.zeros(plant.n), steady.P_prior)
-    for k in range(T):
-        y[k] = plant.C @ x + plant.D @ u[k] + v[k]
-        x = plant.A @ x + plant.B @ u[k] + w[k]
-    return y, u
+    x[0], driven = rng.multivariate_normal(np.zeros(plant.n), steady.P_prior), u @ plant.B.T + w
+    for k in range(T - 1):
+        x[k + 1] = plant.A @ x[k] + driven[k]
+    return x @ plant.C.T + u @ plant.D.T + v, u
 
 
 def test_an_injection_is_estimated_without_bias_and_within_its_deviation() -> None:

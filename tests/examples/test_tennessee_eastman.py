@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 from securestate import Plant, judge
+from tests.test_readme import ROOT, assert_shown, blocks, commands, page
 
-EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "tennessee-eastman"
+EXAMPLE = ROOT / "examples" / "tennessee-eastman"
 PRESSURE, TEMPERATURE = "XMEAS 7 reactor pressure", "XMEAS 11 separator temperature"
 HOUR = 20  # samples
 
@@ -39,6 +40,16 @@ def done(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 @pytest.fixture(scope="module")
 def estimates(done: tuple[Path, str]) -> pd.DataFrame:
     return pd.read_parquet(done[0] / "estimates.parquet")
+
+
+def test_make_run_prints_what_the_readme_shows(done: tuple[Path, str]) -> None:
+    shown = dict(
+        pair for block in blocks("README.md") if block.language == "console" for pair in commands(block)
+    )
+    recipe = re.search(r"^run:.*\n\t@?\$\(PY\) (\S+)", page("Makefile"), re.MULTILINE)
+    assert recipe
+    assert ROOT / recipe[1] == EXAMPLE / "run.py"
+    assert_shown("README.md, make run", shown["make run"], done[1])
 
 
 VERIFIABLE = (1, 7, 11, 13, 16, 18, 19, 20, 21, 22)

@@ -110,13 +110,12 @@ def test_a_sensor_with_a_channel_that_was_hardly_read_has_no_number(hardly_read:
 def test_explained_least_is_below_the_truth_in_ninety_percent_of_records(share: float) -> None:
     """Samples depend on each other; 95 % is wanted, and 90 % of 300 is 3.9 standard errors less."""
     rng, a = np.random.default_rng(10), 0.7
+    drive, x = rng.normal(size=(300, 700, 2)), np.zeros((300, 700, 2))
+    for k in range(1, 700):
+        x[:, k] = a * x[:, k - 1] + np.sqrt(1 - a**2) * drive[:, k]
     sides = np.zeros(300, dtype=bool)
     for i in range(300):
-        drive = rng.normal(size=(700, 2))
-        x = np.zeros((700, 2))
-        for k in range(1, 700):
-            x[k] = a * x[k - 1] + np.sqrt(1 - a**2) * drive[k]
-        known, left = np.sqrt(share) * x[100:, :1], np.sqrt(1 - share) * x[100:, 1:]
+        known, left = np.sqrt(share) * x[i, 100:, :1], np.sqrt(1 - share) * x[i, 100:, 1:]
         sides[i] = explained([left], [known + left])[1] <= share
     assert np.mean(sides) >= 0.9
     assert CONFIDENCE < 2  # a bound that is always below would be worth nothing

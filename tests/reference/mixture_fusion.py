@@ -53,10 +53,8 @@ def fit(
     result = Fit(np.ones(N))
     for _ in range(cap):
         low = added if floor == "prior" else 1e-9 * max(1.0, np.trace(Sigma2)) * np.eye(n)
-        first = np.log(max(pi[0], 1e-300)) + np.array(
-            [log_normal(x, mu1, Pi) for x, Pi in zip(X, P, strict=True)]
-        )
-        second = np.log(max(pi[1], 1e-300)) + np.array([log_normal(x, mu2, Sigma2 + low) for x in X])
+        first = np.log(max(pi[0], 1e-300)) + log_normal(X, mu1, P)
+        second = np.log(max(pi[1], 1e-300)) + log_normal(X, mu2, (Sigma2 + low)[None])
         both = np.logaddexp(first, second)
         gamma, attacked = np.exp(first - both), np.exp(second - both)
         before = result.likelihoods[-1] if result.likelihoods else -np.inf
@@ -89,9 +87,11 @@ def start(X: Array, prediction: Array, init: str) -> tuple[Array, Array, Array]:
     return first, centre, Sigma2
 
 
-def log_normal(x: Array, mean: Array, cov: Array) -> float:
-    d = x - mean
-    return float(-0.5 * (d @ np.linalg.solve(cov, d) + np.linalg.slogdet(2 * np.pi * cov)[1]))
+def log_normal(X: Array, mean: Array, cov: Array) -> Array:
+    """Of points X (N, n), with one covariance (1, n, n) or one each."""
+    d = X - mean
+    squares = np.sum(d * np.linalg.solve(cov, d[:, :, None])[:, :, 0], axis=1)
+    return np.asarray(-0.5 * (squares + np.linalg.slogdet(2 * np.pi * cov)[1]))
 
 
 def mixture_fusion(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import signal
 import sys
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cache
 from importlib.metadata import version
 from types import FrameType
 from typing import Annotated, Any, NoReturn
@@ -59,7 +60,13 @@ def execute(arguments: Sequence[str]) -> Exit:
     """Run one command line and return its exit code."""
     with warnings.catch_warnings():
         warnings.showwarning = _warn  # one line, without the place in our code
-        return outcome(lambda: app(list(arguments), prog_name="securestate", standalone_mode=False))
+        return outcome(lambda: _command()(list(arguments), prog_name="securestate", standalone_mode=False))
+
+
+@cache
+def _command() -> Callable[..., object]:
+    """The whole command; typer takes longer to build it than most commands take to run."""
+    return typer.main.get_command(app)
 
 
 def _warn(message: Warning | str, *_: Any, **__: Any) -> None:

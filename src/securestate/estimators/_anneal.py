@@ -93,7 +93,9 @@ def _residual(Z: Float, y: Float, w: Float) -> Float:
     """Return y - Z t for the t that minimises the sum of w (y - Z t)^2."""
     W = w / w.max()
     J = Z.T @ (W[:, np.newaxis] * Z)
-    J[np.diag_indices(len(J))] += RIDGE
-    t = linalg.cho_solve(linalg.cho_factor(J, check_finite=False), Z.T @ (W * y), check_finite=False)
+    J.flat[:: len(J) + 1] += RIDGE
+    _, t, failed = linalg.lapack.dposv(J, Z.T @ (W * y))
+    if failed:
+        raise linalg.LinAlgError("the normal equations are not positive definite")
     residual: Float = y - Z @ t
     return residual

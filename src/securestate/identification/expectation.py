@@ -20,7 +20,6 @@ from typing import final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg
 
 from securestate.errors import InputError
 from securestate.estimators._smoother import smooth
@@ -32,6 +31,7 @@ from securestate.identification.forms import (
     Stationary,
     innovations_of,
     log_density,
+    long_run,
     spread,
     stationary,
     symmetric,
@@ -91,7 +91,7 @@ def expect(model: Independent, stack: Stack) -> Moments:
     P, L, A, n = steady.P, steady.L, model.A, model.n
     filtered = symmetric(P - L @ model.C @ P)
     J = np.asarray(np.linalg.solve(P, A @ filtered).T, dtype=np.float64)
-    smoothed = symmetric(np.asarray(linalg.solve_discrete_lyapunov(J, filtered - J @ P @ J.T)))
+    smoothed = long_run(J, filtered - J @ P @ J.T)
     e, x = Predictor(innovations_of(model, steady))(stack)
     # x[k|N] = x[k|k] + J (x[k+1|N] - x[k+1|k]), from the end of every segment backwards
     states = x + e @ L.T

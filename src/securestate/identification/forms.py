@@ -36,6 +36,10 @@ MEMORY = 256
 EDGE = 0.9999
 
 
+#: Fewer states than this make one linear system of n^2 unknowns.
+FEW = 10
+
+
 @final
 class Stack:
     """A record without gaps in one array, and plans for recursions forwards and backwards.
@@ -164,7 +168,23 @@ def spread(A: Array, noise: Array) -> Array:
     inside.
     """
     inside = A * min(1.0, EDGE / max(radius(A), 1e-300))
-    return symmetric(np.asarray(linalg.solve_discrete_lyapunov(inside, noise)))
+    return long_run(inside, noise)
+
+
+def long_run(A: Array, noise: Array) -> Array:
+    """X = A X A' + noise of a stable A: of few states one linear system, without scipy's many checks of it.
+
+    Raises:
+        LinAlgError: A has eigenvalues whose product is one.
+    """
+    n = len(A)
+    if n >= FEW:
+        return symmetric(np.asarray(linalg.solve_discrete_lyapunov(A, noise)))
+    system = np.eye(n * n) - (A[:, None, :, None] * A[None, :, None, :]).reshape(n * n, n * n)
+    *_, X, failed = linalg.lapack.dgesv(system, noise.ravel())
+    if failed or not np.all(np.isfinite(X)):
+        raise np.linalg.LinAlgError("no stationary covariance")
+    return symmetric(X.reshape(n, n))
 
 
 def whiten(E: Array, S: Array) -> Array:

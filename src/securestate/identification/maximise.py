@@ -16,8 +16,8 @@ from dataclasses import dataclass, replace
 from typing import final
 
 import numpy as np
+import scipy  # loads `optimize` where it is first used: few commands need it
 from numpy.typing import NDArray
-from scipy import optimize
 
 from securestate.identification.expectation import Moments, expect, expect_with_gaps
 from securestate.identification.forms import (
@@ -247,11 +247,11 @@ class _Task:
         """Run L-BFGS; return its model and the likelihood per sample after every step."""
         values: list[float] = []
 
-        def after(intermediate_result: optimize.OptimizeResult) -> None:
+        def after(intermediate_result: scipy.optimize.OptimizeResult) -> None:
             values.append(-float(intermediate_result.fun))
             tell(len(values))
 
-        found = optimize.minimize(
+        found = scipy.optimize.minimize(
             self,
             self.pack(),
             jac=True,

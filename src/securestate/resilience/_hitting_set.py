@@ -12,8 +12,8 @@ from __future__ import annotations
 import time
 
 import numpy as np
+import scipy  # loads `optimize` where it is first used: few commands need it
 from scipy import sparse
-from scipy.optimize import Bounds, LinearConstraint, milp
 
 from securestate.resilience._bases import PIVOT, basis_along
 from securestate.resilience._exact_count import Best
@@ -53,11 +53,11 @@ def _round(bases: list[Indices], weights: Array, deadline: float) -> tuple[float
     """Lower bound of the smallest hitting set of these bases, and the set itself if it was found."""
     rows = np.repeat(np.arange(len(bases)), [len(b) for b in bases])
     meets = sparse.csr_matrix((np.ones(len(rows)), (rows, np.concatenate(bases))), (len(bases), len(weights)))
-    answer = milp(
+    answer = scipy.optimize.milp(
         weights,
-        constraints=LinearConstraint(meets, 1, np.inf),
+        constraints=scipy.optimize.LinearConstraint(meets, 1, np.inf),
         integrality=np.ones(len(weights), dtype=np.int64),
-        bounds=Bounds(0, 1),
+        bounds=scipy.optimize.Bounds(0, 1),
         options={"time_limit": max(0.05, deadline - time.monotonic()), "mip_rel_gap": 0.0},
     )
     bound = answer.mip_dual_bound

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
+import scipy  # loads `optimize` where it is first used: few commands need it
 
 from securestate.resilience._bases import PIVOT, basis_along
 from securestate.resilience.eigenspaces import Array, Indices, Sight, kernel_of
@@ -90,11 +90,11 @@ def _prove(sights: Sequence[Sight], known: Indices, lower: int, deadline: float)
     rows, sides = _inequalities(sights, known[:0])
     sensors = sights[0].sensors
     while time.monotonic() < deadline:
-        answer = milp(
+        answer = scipy.optimize.milp(
             np.ones(sensors),
-            constraints=LinearConstraint(np.array(rows), np.array(sides), np.inf),
+            constraints=scipy.optimize.LinearConstraint(np.array(rows), np.array(sides), np.inf),
             integrality=np.ones(sensors, dtype=np.int64),
-            bounds=Bounds(0, 1),
+            bounds=scipy.optimize.Bounds(0, 1),
             options={"time_limit": max(0.1, deadline - time.monotonic())},
         )
         if answer.mip_dual_bound is not None:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from typing import final
 
 import numpy as np
-from scipy.optimize import Bounds, LinearConstraint, milp
+import scipy  # loads `optimize` where it is first used: few commands need it
 
 from securestate.resilience._count import least_weight
 from securestate.resilience.eigenspaces import Array, Indices, Sight
@@ -95,11 +95,11 @@ def _smallest(
     supports: list[Array], weights: Array, gain: Array, most: Array, goal: int, deadline: float
 ) -> tuple[Indices, float] | None:
     rows = np.array(supports)
-    answer = milp(
+    answer = scipy.optimize.milp(
         np.ones(len(weights)),
-        constraints=LinearConstraint(rows * gain, goal - rows @ weights, np.inf),
+        constraints=scipy.optimize.LinearConstraint(rows * gain, goal - rows @ weights, np.inf),
         integrality=np.ones(len(weights), dtype=np.int64),
-        bounds=Bounds(0, most),
+        bounds=scipy.optimize.Bounds(0, most),
         options={"time_limit": max(0.1, deadline - time.monotonic())},
     )
     found: Array | None = answer.x  # None: impossible, or no answer in time

@@ -78,8 +78,16 @@ class Norms:
 
     def per_sensor(self, U: Array) -> Array:
         """||H_i u||, (K, N), for directions U (K, d)."""
+        return self.summed(self.per_block(U))
+
+    def per_block(self, U: Array) -> Array:
+        """The norm of every block, (K, B)."""
         flat = self.H.reshape(-1, self.dimension)
         lengths: Array = np.linalg.norm((U @ flat.T).reshape(len(U), *self.H.shape[:2]), axis=2)
+        return lengths
+
+    def summed(self, lengths: Array) -> Array:
+        """Norms of blocks (K, B) as those of their sensors, (K, N)."""
         if len(self.owner) == self.sensors and np.array_equal(self.owner, np.arange(self.sensors)):
             return lengths
         summed: Array = lengths @ (self.owner[:, None] == np.arange(self.sensors)).astype(np.float64)
@@ -185,8 +193,11 @@ class _Highest:
 
     def offer(self, Z: Array) -> Array:
         """Take the best of the directions (K, d); returns the shares of all."""
-        lengths = self.norms.per_sensor(Z)
-        shares: Array = self.attacked.sum(lengths) / lengths.sum(axis=1)
+        return self.take(Z, self.norms.per_sensor(Z))
+
+    def take(self, Z: Array, heard: Array) -> Array:
+        """The same where ||H_i u||, (K, N), is known."""
+        shares: Array = self.attacked.sum(heard) / heard.sum(axis=1)
         k = int(np.argmax(shares))
         if shares[k] > self.share:
             self.share, self.z = float(shares[k]), Z[k]
@@ -206,21 +217,22 @@ def _starts(norms: Norms) -> Array:
 
 def _ascend(norms: Norms, attacked: Attacked, best: _Highest, Z: Array, rounds: int) -> None:
     """Ascend from all directions Z (K, d) at once; the share never falls."""
-    H = norms.H
-    Q = np.einsum("bkl,bkm->blm", H, H)
+    d = norms.dimension
+    Q = np.einsum("bkl,bkm->blm", norms.H, norms.H).reshape(-1, d * d)
     before = np.full(len(Z), -1.0)
     for _ in range(rounds):
-        shares = best.offer(Z)
+        lengths = norms.per_block(Z)
+        heard = norms.summed(lengths)
+        shares = best.take(Z, heard)
         rising = (shares > before + 1e-12) & (shares > 0)
         if not rising.any():
             return
-        Z, before = Z[rising], shares[rising]
-        lengths = np.maximum(np.linalg.norm(np.einsum("bkl,ul->ubk", H, Z), axis=2), 1e-13)
+        Z, before, lengths = Z[rising], shares[rising], np.maximum(lengths[rising], 1e-13)
         chosen = np.zeros((len(Z), norms.sensors))
-        np.put_along_axis(chosen, attacked.loudest(norms.per_sensor(Z)), 1.0, axis=1)
-        gradient = np.einsum("ub,blm,um->ul", chosen[:, norms.owner] / lengths, Q, Z, optimize=True)
-        metric = np.einsum("ub,blm->ulm", 1 / lengths, Q, optimize=True)
-        Z = np.linalg.solve(metric, gradient[:, :, None])[:, :, 0]
+        np.put_along_axis(chosen, attacked.loudest(heard[rising]), 1.0, axis=1)
+        said = ((chosen[:, norms.owner] / lengths) @ Q).reshape(-1, d, d)
+        metric = ((1 / lengths) @ Q).reshape(-1, d, d)
+        Z = np.linalg.solve(metric, said @ Z[:, :, None])[:, :, 0]
         Z /= np.linalg.norm(Z, axis=1)[:, None]
 
 
