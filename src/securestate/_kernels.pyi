@@ -25,6 +25,7 @@ __all__ = [
     "kalman",
     "mixture_fusion",
     "protected_kalman",
+    "secure_filter",
     "simulate",
     "smooth",
     "sparse_fusion",
@@ -138,6 +139,9 @@ def innovation_mixture(
     tolerance: float,
     student: tuple[float, _Float],
     monitor: tuple[float | None, _Float],
+) -> Kernel: ...
+def secure_filter(
+    plant: Plant, prior: _Float | None, *, onset: _Float, steady: float, deviations: _Float
 ) -> Kernel: ...
 def simulate(
     plant: Plant,

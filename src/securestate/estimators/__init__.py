@@ -17,6 +17,7 @@ from securestate.estimators.oracle import OracleFilter
 from securestate.estimators.protected_kalman import ProtectedKalman
 from securestate.estimators.registry import AUTO, DEFAULT, METHODS, Method
 from securestate.estimators.run import Run
+from securestate.estimators.secure_filter import SecureFilter
 from securestate.estimators.sparse_fusion import SparseFusion
 from securestate.estimators.window_run import start_after, window_run
 
@@ -43,6 +44,7 @@ __all__ = [
     "OracleFilter",
     "ProtectedKalman",
     "Run",
+    "SecureFilter",
     "SparseFusion",
     "Status",
     "cold_start",

@@ -20,6 +20,7 @@ from securestate.estimators.joint_fusion import JointFusion
 from securestate.estimators.kalman import KalmanFilter
 from securestate.estimators.mixture_fusion import MixtureFusion
 from securestate.estimators.protected_kalman import ProtectedKalman
+from securestate.estimators.secure_filter import SecureFilter
 from securestate.estimators.sparse_fusion import SparseFusion
 
 
@@ -46,11 +47,12 @@ class Method:
 
 #: The name that stands for the method to try first, and which one that is.
 AUTO = "auto"
-DEFAULT = "innovation-mixture"
+DEFAULT = "secure"
 
 #: Every method by the name that users type, the one to try first in front.
 METHODS: Mapping[str, Method] = MappingProxyType(
     {
+        "secure": Method(SecureFilter, "finds lying sensors, remembers them, and says what they inject"),
         "sparse": Method(SparseFusion, "finds lying sensors"),
         "innovation-mixture": Method(
             InnovationMixture, "weighs readings by the belief that they are honest; liars may change"

@@ -84,6 +84,12 @@ impl Information {
         self.count
     }
 
+    /// Length of x.
+    #[must_use]
+    pub fn states(&self) -> usize {
+        self.n
+    }
+
     /// Row i of Z.
     #[inline(always)]
     #[must_use]

@@ -32,6 +32,19 @@ pub struct Way<'a> {
     pub added: f64,
 }
 
+/// A sensor seen from the others: z, v, the turned m, and the rows of Qᵀ.
+#[derive(Debug, Clone, Copy)]
+pub struct View<'a> {
+    /// (m,)
+    pub z: &'a [f64],
+    /// (m,)
+    pub v: &'a [f64],
+    /// (m,)
+    pub mean: &'a [f64],
+    /// (m, m)
+    pub turn: &'a [f64],
+}
+
 /// Scratch for sensors with up to so many channels.
 #[derive(Debug, Clone)]
 pub struct Cavity {
@@ -71,7 +84,8 @@ impl Cavity {
         &mut self,
         (precision, eta): (&[f64], &[f64]),
         (expected, residual): (&[f64], &[f64]),
-        (z, v, mean, turn): (&mut [f64], &mut [f64], &mut [f64], &mut [f64]),
+        (z, v): (&mut [f64], &mut [f64]),
+        (mean, turn): (&mut [f64], &mut [f64]),
     ) {
         let m = eta.len();
         for a in 0..m {
@@ -103,10 +117,11 @@ impl Cavity {
     pub fn match_moments(
         &mut self,
         ways: &[Way<'_>; 2],
-        (z, v, mean, turn): (&[f64], &[f64], &[f64], &[f64]),
+        view: &View<'_>,
         step: f64,
         (precision, eta): (&mut [f64], &mut [f64]),
     ) {
+        let View { z, v, mean, turn } = *view;
         let m = eta.len();
         let pulls = &mut self.pulls[..2 * m];
         let (mut idle, mut trace) = (1.0, 0.0);
@@ -125,7 +140,8 @@ impl Cavity {
         // The trace bounds the largest eigenvalue of D^-½ Cov D^-½, and equals it where two explanations compete.
         for a in 0..m {
             let square = |g: f64| (g - self.pull[a]) * (g - self.pull[a]);
-            let spread: f64 = ways.iter().enumerate().map(|(j, way)| way.belief * square(pulls[j * m + a])).sum();
+            let spread: f64 =
+                ways.iter().enumerate().map(|(j, way)| way.belief * square(pulls[j * m + a])).sum();
             let spread = spread + idle.max(0.0) * square(0.0);
             trace += spread / self.tilt[a * m + a].max(f64::MIN_POSITIVE);
         }
@@ -151,7 +167,8 @@ impl Cavity {
         }
         // Back from the turned coordinates: Λ = Qᵀᵀ Λ' Qᵀ.
         for a in 0..m {
-            self.pulls[a] = (0..m).map(|b| 0.5 * (right[a * m + b] + right[b * m + a]) * self.vector[b]).sum();
+            self.pulls[a] =
+                (0..m).map(|b| 0.5 * (right[a * m + b] + right[b * m + a]) * self.vector[b]).sum();
             self.pulls[a] += self.pull[a];
         }
         for a in 0..m {

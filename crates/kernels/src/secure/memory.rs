@@ -1,192 +1,221 @@
 //! What is remembered of every sensor: whether it lies, in what habit, and what it injects.
 //!
 //! ```text
-//!     habits     every habit e is a two-state chain per sensor; their weights are shared by all sensors
-//!                p_e⁻ = p_e (1 − recovery_e) + (1 − p_e) onset_e,   π = Σ w_e duty_e p_e⁻
-//!     injection  b, s of a steady lie: begun just now N(0, σ₀²), going on N(b, s + q), or what was sent wildly before,
-//!                merged to the first two moments
+//!     habits     p_e⁻ = p_e (1 − recovery_e) + (1 − p_e) onset_e,   π = Σ w_e p_e⁻
+//!                p_e = p_e⁻ r / (p_e⁻ r + 1 − p_e⁻),   w_e ∝ w_e^(1 − fade) Π (p_e⁻ r + 1 − p_e⁻)
+//!     steady     N(b, s) of an injection that drifts (s grows by q per sample) and of one that is constant, with the
+//!                probability of either; each begins as N(0, 4 v), goes on, or takes over from the other or from what was
+//!                last sent wildly, merged to the first two moments
 //! ```
+//!
+//! r is the likelihood ratio of this sample alone, wild against all else: what is remembered never counts twice. The
+//! weights w of habits are shared by all sensors.
+//!
+//! # References
+//! Blom, Bar-Shalom 1988 (merging before the sample is seen: interacting multiple models).
 
 use crate::Result;
 use crate::codec::{Decoder, Encoder};
 use crate::kalman::heard::Heard;
-use crate::mixture::sample::Sample;
+use crate::mixture::sample::{Arrived, Sample};
 use crate::secure::labels::{Label, Labels, Prior};
-use crate::secure::settings::Settings;
+use crate::secure::settings::{CHANGE, END, FADE, FIRST, HABITS, SETTLE, Settings, TURN};
 
-/// Beliefs about a sensor are kept this far from certainty.
+/// Beliefs about a sensor are kept this far from certainty, in odds at the most of 10^6.
 const CERTAIN: f64 = 1e-6;
+
+/// Most that one sample says for or against a lie, as a ratio.
+const DECISIVE: f64 = 1e13;
+
+/// Injections of one kind, steady lies that drift or that are constant.
+#[derive(Debug, Clone)]
+struct Steady {
+    /// Probability, by sensor.
+    belief: Vec<f64>,
+    /// s, by sensor, in units of R.
+    spread: Vec<f64>,
+    /// b, by channel of the plant, in its units.
+    bias: Vec<f64>,
+    /// Growth of s per sample.
+    change: f64,
+}
+
+impl Steady {
+    fn new(sensors: usize, channels: usize, change: f64) -> Self {
+        let sensor = || vec![0.0; sensors];
+        Self { belief: sensor(), spread: vec![FIRST; sensors], bias: vec![0.0; channels], change }
+    }
+
+    fn numbers(&mut self) -> [&mut Vec<f64>; 3] {
+        [&mut self.belief, &mut self.spread, &mut self.bias]
+    }
+
+    /// Where an injection of this kind can come from, merged.
+    #[inline(always)]
+    fn merge(&mut self, sensor: usize, belief: f64, spread: f64) {
+        (self.belief[sensor], self.spread[sensor]) = (belief, spread);
+    }
+
+    /// Take in what the others do not expect: residual of variance v.
+    #[inline(always)]
+    fn correct(&mut self, sensor: usize, v: f64) -> f64 {
+        let gain = self.spread[sensor] / (self.spread[sensor] + v);
+        self.spread[sensor] *= 1.0 - gain;
+        gain
+    }
+}
 
 /// What is remembered.
 #[derive(Debug, Clone)]
 pub struct Memory {
-    sensors: usize,
     /// Weight of every habit.
     weight: Vec<f64>,
     /// Belief that a sensor lies, by habit and sensor.
     lying: Vec<f64>,
-    /// Belief that a sensor lies steadily; that it lied wildly at its latest sample; s; v of that sample.
-    steady: Vec<f64>,
-    constant: Vec<f64>,
+    drifting: Steady,
+    constant: Steady,
+    /// Belief that the latest sample of a sensor was a wild lie, and v then.
     wild: Vec<f64>,
-    spread: Vec<f64>,
-    scatter: Vec<f64>,
     open: Vec<f64>,
-    /// b and the latest residual, by channel of the plant, in its units.
-    bias: Vec<f64>,
-    offset: Vec<f64>,
+    /// The latest residual, by channel of the plant, in its units.
     latest: Vec<f64>,
-    /// Samples in a row with too many accused.
-    pub violated: u64,
+    /// Scratch: r of the sensors that arrived.
+    ratio: Vec<f64>,
+    /// Samples in a row in which the accused outvoted the believed.
+    pub outvoted: u64,
 }
 
 impl Memory {
     /// Before the first sample.
     #[must_use]
-    pub fn new(settings: &Settings, sensors: usize, channels: usize) -> Self {
-        let sensor = || vec![0.0; sensors];
+    pub fn new(settings: &Settings) -> Self {
+        let (sensors, channels) = (settings.protected.len(), settings.deviations.len());
         let mut memory = Self {
-            sensors,
-            weight: settings.habits.iter().map(|habit| habit.weight).collect(),
-            lying: vec![0.0; settings.habits.len() * sensors],
-            steady: sensor(),
-            constant: sensor(),
-            wild: sensor(),
-            spread: sensor(),
-            scatter: sensor(),
-            open: sensor(),
-            bias: vec![0.0; channels],
-            offset: vec![0.0; channels],
+            weight: HABITS.iter().map(|habit| habit.weight).collect(),
+            lying: vec![0.0; HABITS.len() * sensors],
+            drifting: Steady::new(sensors, channels, CHANGE.0),
+            constant: Steady::new(sensors, channels, CHANGE.1),
+            wild: vec![0.0; sensors],
+            open: vec![1.0; sensors],
             latest: vec![0.0; channels],
-            violated: 0,
+            ratio: vec![0.0; sensors],
+            outvoted: 0,
         };
         memory.clear(settings);
         memory
     }
 
-    /// Forget everything but how sensors use to lie.
+    /// Forget everything but in what habits sensors lie.
     pub fn clear(&mut self, settings: &Settings) {
-        for (e, habit) in settings.habits.iter().enumerate() {
-            self.lying[e * self.sensors..(e + 1) * self.sensors].fill(habit.onset);
+        let sensors = settings.protected.len();
+        for (lying, habit) in self.lying.chunks_exact_mut(sensors).zip(&HABITS) {
+            lying.iter_mut().enumerate().for_each(|(i, p)| *p = settings.onset(habit, i));
         }
-        for numbers in [&mut self.steady, &mut self.constant, &mut self.wild, &mut self.bias, &mut self.offset, &mut self.latest]
-        {
-            numbers.fill(0.0);
+        for steady in [&mut self.drifting, &mut self.constant] {
+            steady.belief.fill(0.0);
+            steady.spread.fill(FIRST);
+            steady.bias.fill(0.0);
         }
-        self.spread.fill(settings.bias.0);
-        self.scatter.fill(settings.bias.0);
-        self.open.fill(1.0);
-        self.violated = 0;
+        self.wild.fill(0.0);
+        self.outvoted = 0;
+    }
+
+    fn numbers(&mut self) -> [&mut Vec<f64>; 11] {
+        let [a, b, c] = self.drifting.numbers();
+        let [d, e, f] = self.constant.numbers();
+        let Self { weight, lying, wild, open, latest, .. } = self;
+        [weight, lying, a, b, c, d, e, f, wild, open, latest]
     }
 
     /// Overwrite with `other`, without allocation.
-    pub fn copy_from(&mut self, other: &Self) {
-        self.weight.copy_from_slice(&other.weight);
-        self.lying.copy_from_slice(&other.lying);
-        self.steady.copy_from_slice(&other.steady);
-        self.constant.copy_from_slice(&other.constant);
-        self.wild.copy_from_slice(&other.wild);
-        self.spread.copy_from_slice(&other.spread);
-        self.scatter.copy_from_slice(&other.scatter);
-        self.open.copy_from_slice(&other.open);
-        self.bias.copy_from_slice(&other.bias);
-        self.offset.copy_from_slice(&other.offset);
-        self.latest.copy_from_slice(&other.latest);
-        self.violated = other.violated;
+    pub fn copy_from(&mut self, other: &mut Self) {
+        self.outvoted = other.outvoted;
+        for (mine, theirs) in self.numbers().into_iter().zip(other.numbers()) {
+            mine.copy_from_slice(theirs);
+        }
     }
 
     /// Every chain and injection one sample on: before the sample is seen.
     #[inline(always)]
     pub fn move_on(&mut self, settings: &Settings) {
-        for (lying, habit) in self.lying.chunks_exact_mut(self.sensors).zip(&settings.habits) {
-            for p in lying {
-                *p = *p * (1.0 - habit.recovery) + (1.0 - *p) * habit.onset;
+        let sensors = settings.protected.len();
+        for (lying, habit) in self.lying.chunks_exact_mut(sensors).zip(&HABITS) {
+            for (i, p) in lying.iter_mut().enumerate() {
+                *p = *p * (1.0 - habit.recovery) + (1.0 - *p) * settings.onset(habit, i);
             }
         }
-        let (begin, settle, end) = settings.steady;
-        let (first, change) = settings.bias;
-        let first_of = first;
-        let wander = settings.wander;
         let mut channel = 0;
         for (i, &size) in settings.sizes.iter().enumerate() {
-            let range = channel..channel + size;
+            if !settings.protected[i] {
+                self.move_injection(settings, i, channel..channel + size);
+            }
             channel += size;
-            if settings.protected[i] {
-                continue;
-            }
-            let (constant, steady) = (self.constant[i], self.steady[i]);
-            let new = (1.0 - steady - constant - self.wild[i]).max(0.0) * begin / 2.0;
-            let from = self.wild[i] * settle / 2.0;
-            let first = first_of * self.open[i];
-            let turn = settings.turn;
-            let sum = |on: f64, other: f64| on * (1.0 - end - turn) + other * turn + new + from;
-            let parts = [
-                (constant * (1.0 - end - turn), self.scatter[i] + wander),
-                (steady * turn, self.spread[i] + wander),
-                (new, first),
-                (from, self.open[i] + wander),
-            ];
-            let sources = |a: usize, d: f64, m: &Self| [m.offset[a] / d, m.bias[a] / d, 0.0, m.latest[a] / d];
-            let total_constant = sum(constant, steady);
-            let mut scatter = parts.iter().map(|(w, s)| w * s).sum::<f64>() / total_constant;
-            let other = [
-                (steady * (1.0 - end - turn), self.spread[i] + change),
-                (constant * turn, self.scatter[i] + change),
-                (new, first),
-                (from, self.open[i] + change),
-            ];
-            let total_steady = sum(steady, constant);
-            let mut spread = other.iter().map(|(w, s)| w * s).sum::<f64>() / total_steady;
-            for a in range {
-                let d = settings.deviations[a];
-                let at = sources(a, d, self);
-                let mean: f64 = parts.iter().zip(&at).map(|((w, _), b)| w * b).sum::<f64>() / total_constant;
-                let square: f64 = parts.iter().zip(&at).map(|((w, _), b)| w * b * b).sum::<f64>() / total_constant;
-                scatter += (square - mean * mean).max(0.0) / size as f64;
-                let at = [at[1], at[0], 0.0, at[3]];
-                let drift: f64 = other.iter().zip(&at).map(|((w, _), b)| w * b).sum::<f64>() / total_steady;
-                let square: f64 = other.iter().zip(&at).map(|((w, _), b)| w * b * b).sum::<f64>() / total_steady;
-                spread += (square - drift * drift).max(0.0) / size as f64;
-                self.offset[a] = mean * d;
-                self.bias[a] = drift * d;
-            }
-            self.constant[i] = total_constant;
-            self.steady[i] = total_steady;
-            self.wild[i] = 0.0;
-            self.spread[i] = spread;
-            self.scatter[i] = scatter;
         }
+    }
+
+    /// Merge where the steady lies of a sensor can come from: the same, the other kind, nothing, a wild one.
+    #[inline(always)]
+    fn move_injection(&mut self, settings: &Settings, i: usize, channels: std::ops::Range<usize>) {
+        let Self { drifting, constant, wild, open, latest, .. } = self;
+        let (drifts, rests) = (drifting.belief[i], constant.belief[i]);
+        let honest = (1.0 - drifts - rests - wild[i]).max(0.0);
+        let (begins, settles) = (0.5 * honest * settings.steady, 0.5 * wild[i] * SETTLE);
+        let size = channels.len() as f64;
+        let mut spreads = [0.0; 2];
+        let mut beliefs = [0.0; 2];
+        let mut shares = [[0.0; 4]; 2];
+        let kinds = [(drifts, rests, drifting.change), (rests, drifts, constant.change)];
+        let before = [drifting.spread[i], constant.spread[i]];
+        for (kind, &(own, other, change)) in kinds.iter().enumerate() {
+            let parts = [own * (1.0 - END - TURN), other * TURN, begins, settles];
+            let belief: f64 = parts.iter().sum();
+            shares[kind] = parts.map(|part| part / belief);
+            let variances =
+                [before[kind] + change, before[1 - kind] + change, FIRST * open[i], open[i] + change];
+            spreads[kind] = shares[kind].iter().zip(&variances).map(|(share, s)| share * s).sum();
+            beliefs[kind] = belief;
+        }
+        for a in channels {
+            let deviation = settings.deviations[a];
+            let biases = [drifting.bias[a], constant.bias[a]];
+            for (kind, bias) in [&mut drifting.bias[a], &mut constant.bias[a]].into_iter().enumerate() {
+                let sources = [biases[kind], biases[1 - kind], 0.0, latest[a]].map(|b| b / deviation);
+                let parts = || shares[kind].iter().zip(&sources);
+                let mean: f64 = parts().map(|(share, b)| share * b).sum();
+                let scatter: f64 = parts().map(|(share, b)| share * (b - mean) * (b - mean)).sum();
+                spreads[kind] += scatter / size;
+                *bias = mean * deviation;
+            }
+        }
+        drifting.merge(i, beliefs[0], spreads[0]);
+        constant.merge(i, beliefs[1], spreads[1]);
+        wild[i] = 0.0;
     }
 
     /// What to expect of the sensors that arrived.
     #[inline(always)]
-    pub fn expect(&self, settings: &Settings, heard: &Heard, sample: &Sample, prior: &mut Prior) {
+    pub fn expect(&self, heard: &Heard, sample: &Sample, prior: &mut Prior) {
         let channels = heard.channels();
-        for (place, &channel) in channels.iter().enumerate() {
-            prior.bias[place] = self.bias[channel];
-            prior.offset[place] = self.offset[channel];
+        let steady = [(&self.drifting, &mut prior.drift), (&self.constant, &mut prior.offset)];
+        for (steady, target) in steady {
+            for (target, &channel) in target.iter_mut().zip(channels) {
+                *target = steady.bias[channel];
+            }
+            heard.whitening().apply(&mut target[..channels.len()]);
         }
-        heard.whitening().apply(&mut prior.offset[..channels.len()]);
-        heard.whitening().apply(&mut prior.bias[..channels.len()]);
+        let sensors = self.wild.len();
         for (index, one) in sample.arrived.iter().enumerate() {
             let i = one.sensor;
-            let lies = self.lies(settings, i).clamp(CERTAIN, 1.0 - CERTAIN);
-            let both = self.steady[i] + self.constant[i];
-            let cut = (1.0 - CERTAIN).min(both) / both.max(f64::MIN_POSITIVE);
-            prior.biased[index] = self.steady[i] * cut;
-            prior.constant[index] = self.constant[i] * cut;
-            prior.wild[index] = (1.0 - both * cut) * lies;
-            prior.honest[index] = (1.0 - both * cut) * (1.0 - lies);
-            prior.spread[index] = self.spread[i];
-            prior.scatter[index] = self.scatter[i];
+            let lies: f64 =
+                self.lying.chunks_exact(sensors).zip(&self.weight).map(|(lying, w)| w * lying[i]).sum();
+            let lies = lies.clamp(CERTAIN, 1.0 - CERTAIN);
+            let (drifting, constant) = (self.drifting.belief[i], self.constant.belief[i]);
+            let steady = drifting + constant;
+            let cut = (1.0 - CERTAIN).min(steady) / steady.max(f64::MIN_POSITIVE);
+            let rest = 1.0 - steady * cut;
+            prior.probability[index] = [rest * (1.0 - lies), constant * cut, drifting * cut, rest * lies];
+            prior.spread[index] = [self.constant.spread[i], self.drifting.spread[i]];
         }
-    }
-
-    /// π of a sensor.
-    #[inline(always)]
-    fn lies(&self, settings: &Settings, i: usize) -> f64 {
-        let habits = settings.habits.iter().zip(&self.weight).enumerate();
-        habits.map(|(e, (habit, weight))| weight * habit.duty * self.lying[e * self.sensors + i]).sum()
     }
 
     /// Remember what was believed of the sensors that arrived.
@@ -198,82 +227,75 @@ impl Memory {
                 continue;
             }
             let i = one.sensor;
-            let (honest, biased, constant) = (labels.honest[index], labels.biased[index], labels.constant[index]);
-            let wild = (1.0 - honest - biased - constant).max(0.0);
-            let range = one.first..one.first + one.size;
-            let v = labels.v[range].iter().sum::<f64>() / one.size as f64;
-            let gain = self.spread[i] / (self.spread[i] + v);
-            let slow = self.scatter[i] / (self.scatter[i] + v);
+            let [_, constant, drifting, wild] = labels.belief[index];
+            let v = labels.v[one.first..one.first + one.size].iter().sum::<f64>() / one.size as f64;
+            let (fast, slow) = (self.drifting.correct(i, v), self.constant.correct(i, v));
             for a in 0..one.size {
-                let row = heard.whitening().row(one.first + a);
-                let from = a + 1 - row.len();
-                let raw: f64 = row.iter().enumerate().map(|(b, l)| l * labels.unturned(one, from + b)).sum();
                 let channel = heard.channels()[one.first + a];
-                self.latest[channel] = raw;
-                self.bias[channel] += gain * (raw - self.bias[channel]);
-                self.offset[channel] += slow * (raw - self.offset[channel]);
+                let residual = colour(heard, one, a, |b| labels.residual(one, b));
+                self.latest[channel] = residual;
+                self.drifting.bias[channel] += fast * (residual - self.drifting.bias[channel]);
+                self.constant.bias[channel] += slow * (residual - self.constant.bias[channel]);
             }
-            self.spread[i] *= 1.0 - gain;
-            self.scatter[i] *= 1.0 - slow;
-            self.open[i] = v;
-            self.steady[i] = biased;
-            self.constant[i] = constant;
-            self.wild[i] = wild;
+            (self.drifting.belief[i], self.constant.belief[i]) = (drifting, constant);
+            (self.wild[i], self.open[i]) = (wild, v);
         }
     }
 
+    /// Chains and weights of the habits.
     #[inline(always)]
     fn weigh_habits(&mut self, settings: &Settings, sample: &Sample, labels: &Labels) {
-        let (forgetting, share) = settings.forgetting;
+        for (index, one) in sample.arrived.iter().enumerate() {
+            self.ratio[index] = self.ratio(labels.density[index], one.sensor);
+        }
+        let sensors = self.wild.len();
+        let (fade, back) = (FADE.0 * settings.crowd, FADE.1 * settings.crowd);
         let mut largest = f64::NEG_INFINITY;
-        for (e, habit) in settings.habits.iter().enumerate() {
-            let mut log = forgetting * self.weight[e].max(f64::MIN_POSITIVE).ln();
-            for (index, one) in sample.arrived.iter().enumerate() {
-                if one.protected {
-                    continue;
-                }
-                let [honest, same, biased, wild] = labels.density[index];
-                let (steady, constant) = (self.steady[one.sensor], self.constant[one.sensor]); // the prior
-                let not = (1.0 - steady - constant).max(0.0) * honest + steady * biased + constant * same;
-                let not = not.max(f64::MIN_POSITIVE);
-                let ratio = (wild / not).clamp(1e-13, 1e13);
-                let ratio = 1.0 - habit.duty + habit.duty * ratio;
-                let p = &mut self.lying[e * self.sensors + one.sensor];
+        for (lying, weight) in self.lying.chunks_exact_mut(sensors).zip(&mut self.weight) {
+            let (mut log, mut product) = ((1.0 - fade) * weight.max(f64::MIN_POSITIVE).ln(), 1.0_f64);
+            for (index, one) in sample.arrived.iter().enumerate().filter(|(_, one)| !one.protected) {
+                let p = &mut lying[one.sensor];
+                let ratio = self.ratio[index];
                 let sum = *p * ratio + 1.0 - *p;
-                log += sum.ln();
+                product *= sum;
+                if !(1e-200..1e200).contains(&product) {
+                    log += product.ln();
+                    product = 1.0;
+                }
                 *p = *p * ratio / sum;
             }
-            self.weight[e] = log;
-            largest = largest.max(log);
+            *weight = log + product.ln();
+            largest = largest.max(*weight);
         }
-        let mut sum = 0.0;
-        for weight in &mut self.weight {
-            *weight = (*weight - largest).exp();
-            sum += *weight;
+        self.weight.iter_mut().for_each(|weight| *weight = (*weight - largest).exp());
+        let sum: f64 = self.weight.iter().sum();
+        for (weight, habit) in self.weight.iter_mut().zip(&HABITS) {
+            *weight = (1.0 - back) * *weight / sum + back * habit.weight;
         }
-        for (weight, habit) in self.weight.iter_mut().zip(&settings.habits) {
-            *weight = (1.0 - share) * *weight / sum + share * habit.weight;
+    }
+
+    /// r of a sensor whose densities as honest, constant, drifting and wild are these.
+    #[inline(always)]
+    fn ratio(&self, [honest, same, drift, wild]: [f64; 4], sensor: usize) -> f64 {
+        let (drifting, constant) = (self.drifting.belief[sensor], self.constant.belief[sensor]);
+        let other = (1.0 - drifting - constant).max(0.0) * honest + constant * same + drifting * drift;
+        (wild / other.max(f64::MIN_POSITIVE)).clamp(1.0 / DECISIVE, DECISIVE)
+    }
+
+    /// What a sensor injects, by channel of the plant, and its variance in units of R.
+    #[must_use]
+    pub fn injection(&self, sensor: usize, label: Label) -> (&[f64], f64) {
+        match label {
+            Label::Constant => (&self.constant.bias, self.constant.spread[sensor]),
+            Label::Drifting => (&self.drifting.bias, self.drifting.spread[sensor]),
+            _ => (&self.latest, self.open[sensor]),
         }
     }
 
     /// Write everything.
     pub fn save(&self, to: &mut Encoder) {
-        for numbers in [
-            &self.weight,
-            &self.lying,
-            &self.steady,
-            &self.constant,
-            &self.wild,
-            &self.spread,
-            &self.scatter,
-            &self.open,
-            &self.bias,
-            &self.offset,
-            &self.latest,
-        ] {
-            to.floats(numbers);
-        }
-        to.integer(self.violated);
+        self.clone().numbers().into_iter().for_each(|numbers| to.floats(numbers));
+        to.integer(self.outvoted);
     }
 
     /// Read it back.
@@ -281,34 +303,18 @@ impl Memory {
     /// # Errors
     /// [`crate::Error::Resume`] if the bytes do not fit.
     pub fn load(&mut self, from: &mut Decoder<'_>) -> Result<()> {
-        for numbers in [
-            &mut self.weight,
-            &mut self.lying,
-            &mut self.steady,
-            &mut self.constant,
-            &mut self.wild,
-            &mut self.spread,
-            &mut self.scatter,
-            &mut self.open,
-            &mut self.bias,
-            &mut self.offset,
-            &mut self.latest,
-        ] {
+        for numbers in self.numbers() {
             from.floats(numbers)?;
         }
-        self.violated = from.integer()?;
+        self.outvoted = from.integer()?;
         Ok(())
     }
 }
 
-impl Memory {
-    /// What a sensor injects, by channel of the plant, and its variance in units of R.
-    #[must_use]
-    pub fn injection(&self, sensor: usize, label: Label) -> (&[f64], f64) {
-        match label {
-            Label::Constant => (&self.offset, self.scatter[sensor]),
-            Label::Biased => (&self.bias, self.spread[sensor]),
-            _ => (&self.latest, self.open[sensor]),
-        }
-    }
+/// (L v)_a of a sensor with R = L Lᵀ, v by its channels.
+#[inline(always)]
+fn colour(heard: &Heard, one: &Arrived, a: usize, v: impl Fn(usize) -> f64) -> f64 {
+    let row = heard.whitening().row(one.first + a);
+    let from = a + 1 - row.len();
+    row.iter().enumerate().map(|(b, l)| l * v(from + b)).sum()
 }

@@ -1,11 +1,13 @@
 //! The secure filter.
 
 pub mod cavity;
+pub mod density;
 pub mod labels;
 pub mod memory;
 mod report;
 pub mod robust;
 pub mod settings;
+mod votes;
 
 use crate::codec::{Decoder, Encoder};
 use crate::dense::{self, Arithmetic};
@@ -13,19 +15,27 @@ use crate::kalman::heard::Heard;
 use crate::kalman::model::Model;
 use crate::kalman::ud::Ud;
 use crate::kalman::whitening::Noise;
-use crate::linalg::dot;
 use crate::mixture::information::Information;
 use crate::mixture::posterior::Posterior;
 use crate::mixture::sample::Sample;
 use crate::secure::labels::{Labels, Prior, Scratch};
 use crate::secure::memory::Memory;
 use crate::secure::robust::Regression;
-use crate::secure::settings::Settings;
+use crate::secure::settings::{DOUBT, SWEEPS, Settings};
 use crate::{Dims, Error, Estimator, Output, Result};
 
 /// Beliefs that sweeps begin from: what is remembered, a gate on the prediction, a robust regression, and, in doubt, the
 /// opposite of what was believed.
 const STARTS: usize = 4;
+
+/// See [`STARTS`].
+#[derive(Debug, Clone, Copy)]
+enum Start {
+    Memory,
+    Gate,
+    Regression,
+    Opposite,
+}
 
 /// Weight of the second labelling from which on it is merged.
 const RIVAL: f64 = 0.01;
@@ -112,7 +122,6 @@ impl Secure {
             return Err(Error::input("R", "no correlation between sensors", "some"));
         }
         let widest = settings.sizes.iter().copied().max().unwrap_or(0);
-        settings.check(model.dims.sensors)?;
         let steady = steady.map(|p| Ud::new("prior covariance", p, n)).transpose()?;
         let blocks = settings.sizes.iter().map(|size| size * size).sum();
         Ok(Self { noise, settings, steady, arithmetic: Arithmetic::default(), blocks, widest, model })
@@ -121,7 +130,7 @@ impl Secure {
     fn state(&self, mean: Vec<f64>, prior: Ud) -> State {
         let Dims { states: n, channels: m, sensors, .. } = self.model.dims;
         let labels = Labels::new(sensors, m, self.blocks, self.widest);
-        let memory = Memory::new(&self.settings, sensors, m);
+        let memory = Memory::new(&self.settings);
         let work = Work {
             heard: Heard::new(&self.model, &self.noise),
             complete: false,
@@ -153,31 +162,45 @@ impl Secure {
         sample.residual[..white.len()].copy_from_slice(white);
         information.see(prior, heard.rows());
         sample.measure(information);
-        memory.expect(&self.settings, heard, sample, &mut work.prior);
+        memory.expect(heard, sample, &mut work.prior);
     }
 
-    /// Every labelling that sweeps arrive at.
+    /// Every labelling that sweeps arrive at. Where the first accuses nobody and the gate agrees, there is no other.
     #[inline(always)]
     fn explain(&self, work: &mut Work, doubted: bool) {
         let settings = &self.settings;
         let arrived = work.sample.arrived.len();
         work.found = 0;
-        for start in 0..STARTS {
+        for start in [Start::Memory, Start::Gate, Start::Regression, Start::Opposite] {
             let Work { sample, prior, information, scratch, trials, regression, kept, found, .. } = work;
             let (before, rest) = trials.split_at_mut(*found);
             let trial = &mut rest[0];
+            let accuses = |labels: &Labels| (0..arrived).any(|index| !labels.believes(index));
+            let suspicious = before.iter().any(accuses);
             match start {
-                0 => trial.begin(sample, prior, |index, _| (prior.honest[index], prior.constant[index])),
-                1 => trial.begin(sample, prior, |index, one| (gate(settings, sample, prior, index, one.size), 0.0)),
-                3 if doubted => {
-                    trial.begin(sample, prior, |index, _| (f64::from(u8::from(kept.honest[index] <= 0.5)), 0.0));
+                Start::Memory => trial.begin(sample, prior, |index, _| {
+                    let [honest, constant, ..] = prior.probability[index];
+                    (honest, constant)
+                }),
+                Start::Gate => {
+                    trial.begin(sample, prior, |index, one| {
+                        (density::gate(sample, prior, index, one.size), 0.0)
+                    });
                 }
-                2 if settings.starts[2] => regression.begin(trial, (sample, prior), settings, information, scratch),
-                _ => continue,
+                Start::Regression if suspicious => {
+                    regression.begin(trial, (sample, prior), settings, information, scratch);
+                }
+                Start::Opposite if doubted => {
+                    trial.begin(sample, prior, |index, _| (f64::from(u8::from(!kept.believes(index))), 0.0));
+                }
+                Start::Regression | Start::Opposite => continue,
             }
-            for _ in 0..settings.cap {
-                trial.sweep((sample, prior), settings, information, scratch);
-                if trial.gap < settings.tolerance {
+            if before.iter().any(|other| other.agrees(trial, arrived)) {
+                continue;
+            }
+            for _ in 0..SWEEPS.0 {
+                trial.sweep((sample, prior), information, scratch);
+                if trial.gap < SWEEPS.1 {
                     break;
                 }
             }
@@ -205,69 +228,7 @@ impl Secure {
             let weight = 1.0 / (1.0 + (trials[winner].evidence - trials[second].evidence).exp());
             (weight >= RIVAL).then_some((second, weight))
         });
-        Verdict { winner, rival, apart: 0.0, outvoted: self.outvoted(work, winner) }
-    }
-
-    /// Whether in some direction of the state more sensors are accused than believed, the prediction counting as one:
-    /// the largest eigenvalue of K (I + T)⁻¹, K and T sums of the unit vectors along which the accused and the others
-    /// see the state, in units of P⁻.
-    #[inline(always)]
-    fn outvoted(&self, work: &mut Work, winner: usize) -> bool {
-        let Work { sample, information, trials, direction, .. } = work;
-        let labels = &trials[winner];
-        let arrived = sample.arrived.len();
-        let accused = (0..arrived).filter(|&index| labels.honest[index] <= 0.5).count();
-        if accused == 0 {
-            return false;
-        }
-        if accused > self.settings.most(sample) {
-            return true;
-        }
-        if self.settings.votes == 0.0 {
-            return false;
-        }
-        information.clear();
-        let unit = |information: &Information, channel: usize| {
-            let z = information.z(channel);
-            let square = dot(z, z);
-            if square > 0.0 { 1.0 / square.sqrt() } else { 0.0 }
-        };
-        for (index, one) in sample.arrived.iter().enumerate() {
-            if labels.honest[index] > 0.5 {
-                for channel in one.first..one.first + one.size {
-                    let factor = if one.protected { 1e3 } else { unit(information, channel) };
-                    information.weigh(factor, channel);
-                }
-            }
-        }
-        information.update();
-        let n = direction.len() / 2;
-        let (v, next) = direction.split_at_mut(n);
-        v.fill(1.0);
-        let mut value = 0.0;
-        for _ in 0..VOTES {
-            let length = dot(v, v).sqrt();
-            if length == 0.0 {
-                return false;
-            }
-            v.iter_mut().for_each(|v| *v /= length);
-            next.fill(0.0);
-            for (index, one) in sample.arrived.iter().enumerate() {
-                if labels.honest[index] > 0.5 {
-                    continue;
-                }
-                for channel in one.first..one.first + one.size {
-                    let factor = unit(information, channel);
-                    let along: f64 = information.w_t().zip(v.iter()).map(|(w, v)| w[channel] * v).sum();
-                    for (target, w) in next.iter_mut().zip(information.w_t()) {
-                        *target += factor * factor * along * w[channel];
-                    }
-                }
-            }
-            value = dot(next, next).sqrt();
-            v.copy_from_slice(next);
-        }
-        value >= self.settings.votes
+        Verdict { winner, rival, apart: 0.0, outvoted: votes::outvoted(work, &self.settings, winner) }
     }
 
     /// More were accused than believed for some time: the prediction or what is remembered is wrong. Try without either;
@@ -275,8 +236,8 @@ impl Secure {
     #[inline(always)]
     fn doubt(&self, work: &mut Work, memory: &mut Memory, prior: &Ud, verdict: Verdict) -> Verdict {
         let settings = &self.settings;
-        memory.violated = if verdict.outvoted { memory.violated + 1 } else { 0 };
-        if memory.violated < settings.doubt.0 as u64 {
+        memory.outvoted = if verdict.outvoted { memory.outvoted.saturating_add(1) } else { 0 };
+        if memory.outvoted < DOUBT.0 {
             return verdict;
         }
         work.kept.copy_from(&work.trials[verdict.winner]);
@@ -284,7 +245,7 @@ impl Secure {
         memory.clear(settings);
         let mut inflated = std::mem::replace(&mut work.inflated, Ud::zero(0));
         inflated.copy_from(prior);
-        inflated.d.iter_mut().for_each(|d| *d *= settings.doubt.1);
+        inflated.d.iter_mut().for_each(|d| *d *= DOUBT.1);
         self.measure(work, &inflated, memory);
         work.inflated = inflated;
         self.explain(work, true);
@@ -292,7 +253,7 @@ impl Secure {
         if !fresh.outvoted {
             return Verdict { rival: None, ..fresh };
         }
-        memory.copy_from(&work.remembered);
+        memory.copy_from(&mut work.remembered);
         self.measure(work, prior, memory);
         work.trials[0].copy_from(&work.kept);
         work.found = 1;
@@ -350,19 +311,6 @@ impl Secure {
         std::mem::swap(x, &mut work.next);
         *k += 1;
     }
-}
-
-/// Rounds of the power method that counts votes.
-const VOTES: usize = 8;
-
-/// Belief of a sensor by the innovation alone, against a broad density.
-#[inline(always)]
-fn gate(settings: &Settings, sample: &Sample, prior: &Prior, index: usize, size: usize) -> f64 {
-    let square = sample.square[index];
-    let broad = 1.0 + settings.kappa;
-    let exponent = 0.5 * square * (1.0 - 1.0 / broad) - 0.5 * size as f64 * broad.ln();
-    let lies = 1.0 - prior.honest[index];
-    1.0 / (1.0 + lies / prior.honest[index].max(1e-12) * exponent.clamp(-50.0, 50.0).exp())
 }
 
 /// One step, compiled for the processor at hand.

@@ -40,7 +40,7 @@ impl Secure {
         let labels = &trials[verdict.winner];
         let mut distrusted = 0;
         for (index, one) in sample.arrived.iter().enumerate() {
-            let trust = labels.honest[index];
+            let trust = labels.belief[index][0];
             out.trust[one.sensor] = trust;
             if trust >= 0.5 {
                 continue;

@@ -47,7 +47,7 @@ impl Regression {
         scratch: &mut Scratch,
     ) {
         let arrived = sample.arrived.len();
-        self.weight[..arrived].copy_from_slice(&prior.honest[..arrived]);
+        self.weight.iter_mut().zip(&prior.probability[..arrived]).for_each(|(weight, p)| *weight = p[0]);
         let count = information.count();
         for _ in 0..ROUNDS {
             information.clear();
@@ -58,12 +58,16 @@ impl Regression {
                 }
             }
             information.update();
-            information.expect(&self.eta[..count], &mut scratch.shift[..count], &mut scratch.variance[..count]);
+            information.expect(
+                &self.eta[..count],
+                &mut scratch.shift[..count],
+                &mut scratch.variance[..count],
+            );
             for (index, one) in sample.arrived.iter().enumerate() {
                 let channels = one.first..one.first + one.size;
                 let square: f64 = channels.map(|c| (sample.residual[c] - scratch.shift[c]).powi(2)).sum();
                 self.square[index] = square / one.size as f64;
-                self.weight[index] = prior.honest[index] / (square + FIT.1).sqrt();
+                self.weight[index] = prior.probability[index][0] / (square + FIT.1).sqrt();
             }
         }
         self.order.clear();

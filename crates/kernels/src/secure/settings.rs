@@ -1,98 +1,137 @@
-//! The constants behind the beliefs.
+//! The constants behind the beliefs, and what is chosen per plant.
 
 use crate::codec::Fingerprint;
 use crate::mixture::sample::Sample;
 use crate::{Error, Result};
 
-/// A habit of lying: how likely a sensor begins, how likely it ends, and how often it lies in between.
+/// A habit of lying: a two-state chain per sensor.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Habit {
-    /// Probability that an honest sensor begins to lie, per sample.
-    pub onset: f64,
+    /// Probability that an honest sensor begins to lie, per sample; None = what the false alarm rate allows.
+    pub onset: Option<f64>,
     /// Probability that a liar becomes honest, per sample.
     pub recovery: f64,
-    /// Share of the samples that a liar falsifies.
-    pub duty: f64,
     /// Weight before the first sample.
     pub weight: f64,
 }
 
-/// All of them.
+/// For long, for a few samples, and two for attacks that choose their sensors anew every time.
+pub const HABITS: [Habit; 4] = [
+    Habit { onset: None, recovery: 0.01, weight: 0.5 },
+    Habit { onset: None, recovery: 0.3, weight: 0.35 },
+    Habit { onset: Some(0.1), recovery: 0.9, weight: 0.075 },
+    Habit { onset: Some(0.4), recovery: 0.6, weight: 0.075 },
+];
+
+/// Sensors that make the weights of habits forget at full speed, what they forget then per sample, and what they are
+/// given back of their first values.
+pub const CROWD: f64 = 15.0;
+/// See [`CROWD`].
+pub const FADE: (f64, f64) = (0.02, 0.01);
+
+/// κ: variance of a wild lie, in units of what the others leave open. The false alarm rate is calibrated for it.
+pub const BROAD: f64 = 15.0;
+
+/// Deviation of a learned cluster of lies before there is one, and its least variance, in the same unit.
+pub const CLUSTER: (f64, f64) = (1.5, 0.25);
+
+/// Variance of a steady lie that begins, in the same unit.
+pub const FIRST: f64 = 4.0;
+
+/// Change of a drifting and of a constant lie per sample, as variances in units of R.
+pub const CHANGE: (f64, f64) = (0.2, 1e-4);
+
+/// Probabilities per sample that a wild lie becomes steady, that a steady one ends, and that it turns from drifting to
+/// constant or back.
+pub const SETTLE: f64 = 0.05;
+/// See [`SETTLE`].
+pub const END: f64 = 0.01;
+/// See [`SETTLE`].
+pub const TURN: f64 = 0.01;
+
+/// Noise that is added where the reading of a liar is used less its constant injection, in units of R.
+pub const CAUTION: f64 = 0.5;
+
+/// Samples in a row in which the accused outvote the believed before everything is doubted, and how much larger P⁻ is
+/// taken to be then.
+pub const DOUBT: (u64, f64) = (3, 25.0);
+
+/// Sweeps at most, and the change of beliefs that ends them.
+pub const SWEEPS: (usize, f64) = (15, 1e-3);
+
+/// What is chosen per plant.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Habits.
-    pub habits: Vec<Habit>,
-    /// Forgetting of the weights of habits, and the share given back to the first weights.
-    pub forgetting: (f64, f64),
-    /// Variance of a wild injection, in units of R.
-    pub kappa: f64,
-    /// Shares of the parts of a wild density: broad, learned.
-    pub shares: [f64; 2],
-    /// Least pseudo-scale of a learned cluster.
-    pub scale: f64,
-    /// Probability that an honest sensor begins to lie steadily; that a wild one does; that it ends.
-    pub steady: (f64, f64, f64),
-    /// Variance of an injection that begins, in units of R, and of its change per sample.
-    pub bias: (f64, f64),
-    /// Whether a sensor that lies steadily says something about the state, less its injection: 1 or 0.
-    pub reuse: f64,
-    /// Change of a constant injection per sample, and chance to turn from constant to drifting or back.
-    pub wander: f64,
-    /// See `wander`.
-    pub turn: f64,
-    /// Starts: prior, gate, robust, complement: which are tried.
-    pub starts: [bool; 3],
-    /// Sweeps at most.
-    pub cap: usize,
-    /// Change of beliefs that counts as none.
-    pub tolerance: f64,
-    /// Samples in a row with too many accused before memory is doubted, 0 = never; inflation of P⁻ then.
-    pub doubt: (usize, f64),
-    /// Votes of the accused against the believed from which on they are too many; 0 = only heads are counted.
-    pub votes: f64,
-    /// Channels of every sensor, (N,), and standard deviation of their noise, (m,).
-    pub sizes: Vec<usize>,
-    /// See `sizes`.
-    pub deviations: Vec<f64>,
+    /// Probability that an honest sensor begins to lie, per sample, (N,).
+    pub onset: Vec<f64>,
+    /// The same that it begins to lie steadily.
+    pub steady: f64,
     /// Nobody can tamper with these, (N,).
     pub protected: Vec<bool>,
+    /// Channels of every sensor, (N,).
+    pub sizes: Vec<usize>,
+    /// Standard deviation of the noise of every channel, (m,).
+    pub deviations: Vec<f64>,
+    /// Share of [`FADE`] that the sensors of the plant make up.
+    pub crowd: f64,
 }
 
 impl Settings {
-    /// τ² of a cluster of so many lies with sum of squares about a mean shrunk to 0.
-    #[inline(always)]
-    #[must_use]
-    pub fn cluster_spread(&self, count: f64, square: f64, mean: &[f64]) -> f64 {
-        let m = mean.len() as f64;
-        let about: f64 = mean.iter().map(|mu| mu * mu).sum();
-        let pseudo = 2.0 * self.scale * self.scale;
-        ((square - (count + 1.0) * about + pseudo) / (m * count + m + 2.0) - 1.0).max(0.25)
+    /// The settings for sensors with these channels.
+    ///
+    /// # Errors
+    /// A number out of range.
+    pub fn new(
+        (onset, steady): (Vec<f64>, f64),
+        protected: Vec<bool>,
+        channel_sensor: &[usize],
+        deviations: Vec<f64>,
+    ) -> Result<Self> {
+        let sensors = protected.len();
+        Error::check_len("onset", sensors, onset.len())?;
+        Error::check_len("deviations", channel_sensor.len(), deviations.len())?;
+        for &p in onset.iter().chain([&steady]) {
+            if !(p > 0.0 && p < 0.5) {
+                return Err(Error::input("onset", "probabilities in (0, 0.5)", format!("{p}")));
+            }
+        }
+        let mut sizes = vec![0; sensors];
+        channel_sensor.iter().for_each(|&sensor| sizes[sensor] += 1);
+        let open = protected.iter().filter(|&&protected| !protected).count();
+        let crowd = (open as f64 / CROWD).min(1.0);
+        Ok(Self { onset, steady, protected, sizes, deviations, crowd })
     }
 
-    /// Most sensors that can be lying among those that arrived.
+    /// Probability that a sensor begins to lie in a habit.
+    #[inline(always)]
+    #[must_use]
+    pub fn onset(&self, habit: &Habit, sensor: usize) -> f64 {
+        habit.onset.unwrap_or(self.onset[sensor])
+    }
+
+    /// Most sensors that can be lying among those that arrived: a minority, or all that are not protected.
     #[inline(always)]
     #[must_use]
     pub fn most(&self, sample: &Sample) -> usize {
         let arrived = sample.arrived.len();
         let protected = sample.arrived.iter().filter(|one| one.protected).count();
-        let minority = arrived.saturating_sub(1) / 2;
-        if protected > 0 { arrived - protected } else { minority }
-    }
-
-    /// Check ranges.
-    ///
-    /// # Errors
-    /// A number out of range.
-    pub fn check(&self, sensors: usize) -> Result<()> {
-        Error::check_len("protected", sensors, self.protected.len())
+        if protected > 0 { arrived - protected } else { arrived.saturating_sub(1) / 2 }
     }
 
     /// Mix in every choice.
     #[must_use]
     pub fn fingerprint(&self, hash: Fingerprint) -> Fingerprint {
         let protected: Vec<usize> = self.protected.iter().map(|&p| usize::from(p)).collect();
-        let habits: Vec<f64> =
-            self.habits.iter().flat_map(|h| [h.onset, h.recovery, h.duty, h.weight]).collect();
-        hash.sizes(&protected).floats(&habits).floats(&[self.steady.0, self.kappa])
+        hash.sizes(&protected).floats(&self.onset).floats(&[self.steady])
     }
+}
+
+/// τ² of a cluster of so many lies with this sum of squares about a mean shrunk towards 0.
+#[inline(always)]
+#[must_use]
+pub fn cluster_spread(count: f64, square: f64, mean: &[f64]) -> f64 {
+    let m = mean.len() as f64;
+    let about: f64 = mean.iter().map(|mu| mu * mu).sum();
+    let pseudo = 2.0 * CLUSTER.0 * CLUSTER.0;
+    ((square - (count + 1.0) * about + pseudo) / (m * count + m + 2.0) - 1.0).max(CLUSTER.1)
 }
