@@ -93,7 +93,7 @@ class SecureFilter(Estimator):
         >>> sensors = [Sensor(name, C=[1.0], R=1.0) for name in "abcde"]
         >>> run = SecureFilter(Plant([[0.9]], [[1.0]], sensors)).run([[0.1, -0.2, 20.0, 0.3, 19.0]])
         >>> print(run.suspected[0], run.attack[0].round(1), run.attack_std[0].round(1))
-        [False False  True False  True] [ 0.   0.  19.9  0.  18.9] [nan nan 1.1 nan 1.1]
+        [False False  True False  True] [ 0.  0. 20.  0. 19.] [nan nan 1.1 nan 1.1]
     """
 
     steady: SteadyState | None
