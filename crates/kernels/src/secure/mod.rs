@@ -21,7 +21,7 @@ use crate::mixture::sample::Sample;
 use crate::secure::labels::{Labels, Prior, Scratch};
 use crate::secure::memory::Memory;
 use crate::secure::robust::Regression;
-use crate::secure::settings::{DOUBT, SWEEPS, Settings};
+use crate::secure::settings::{DOUBT, Part, SWEEPS, Settings};
 use crate::{Dims, Error, Estimator, Output, Result};
 
 /// Beliefs that sweeps begin from: what is remembered, a gate on the prediction, a robust regression, and, in doubt, the
@@ -162,7 +162,7 @@ impl Secure {
         sample.residual[..white.len()].copy_from_slice(white);
         information.see(prior, heard.rows());
         sample.measure(information);
-        memory.expect(heard, sample, &mut work.prior);
+        memory.expect(&self.settings, heard, sample, &mut work.prior);
     }
 
     /// Every labelling that sweeps arrive at. The regression is asked only if they disagree or it is news who lies.
@@ -186,7 +186,7 @@ impl Secure {
                         (density::gate(sample, prior, index, one.size), 0.0)
                     });
                 }
-                Start::Regression if surprised => {
+                Start::Regression if surprised && settings.has(Part::Regression) => {
                     regression.begin(trial, (sample, prior), settings, information, scratch);
                 }
                 Start::Opposite if doubted => {
@@ -236,7 +236,7 @@ impl Secure {
     fn doubt(&self, work: &mut Work, memory: &mut Memory, prior: &Ud, verdict: Verdict) -> Verdict {
         let settings = &self.settings;
         memory.outvoted = if verdict.outvoted { memory.outvoted.saturating_add(1) } else { 0 };
-        if memory.outvoted < DOUBT.0 {
+        if memory.outvoted < DOUBT.0 || !settings.has(Part::Doubt) {
             return verdict;
         }
         work.kept.copy_from(&work.trials[verdict.winner]);
