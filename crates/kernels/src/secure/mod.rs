@@ -1,4 +1,16 @@
-//! The secure filter.
+//! Finds who lies, remembers it, and estimates the state as if the liars were known.
+//!
+//! ```text
+//!     1  what is remembered of every sensor, one sample on ([`memory`])
+//!     2  innovations about N(C x⁻, C P⁻ Cᵀ + R)
+//!     3  beliefs and sites to their fixed point, from several starts ([`labels`], [`density`], [`cavity`], [`robust`])
+//!     4  the labelling of largest evidence; a rival that is close is merged, its spread included
+//!     5  if the accused outvote the believed for some samples ([`votes`]), 2–4 again without memory and prediction
+//!     6  x, P by the sites; remember; predict
+//! ```
+//!
+//! What arrives per sample, the square-root information filter and the posterior are those of [`crate::mixture`].
+//! docs/secure-filter.md explains the model and says what was measured.
 
 pub mod cavity;
 pub mod density;
@@ -56,7 +68,7 @@ pub struct Secure {
     widest: usize,
 }
 
-/// Belief about x[k|k−1], what is remembered of the sensors, and scratch.
+/// Belief about x\[k|k−1\], what is remembered of the sensors, and scratch.
 #[derive(Debug, Clone)]
 pub struct State {
     k: usize,
@@ -262,22 +274,19 @@ impl Secure {
     /// The estimate of the winner, its rival merged into it.
     #[inline(always)]
     fn conclude(&self, work: &mut Work, verdict: &mut Verdict) {
-        let Work { sample, information, scratch, trials, posterior, found, .. } = work;
+        let Work { sample, information, scratch, trials, posterior, .. } = work;
         let count = information.count();
         let winner = verdict.winner;
         trials[winner].weigh(sample, information, scratch);
         posterior.conclude(information, &trials[winner].eta[..count]);
-        let Some((rival, weight)) = verdict.rival.filter(|(rival, _)| rival < found) else { return };
+        let Some((rival, weight)) = verdict.rival else { return };
         trials[rival].weigh(sample, information, scratch);
         verdict.apart = posterior.merge(information, &trials[rival].eta[..count], weight);
-        let (low, high) = (winner.min(rival), winner.max(rival));
-        let (before, after) = trials.split_at_mut(high);
-        let (first, second) = (&mut before[low], &mut after[0]);
-        if winner < rival {
-            first.merge(second, weight, sample.arrived.len());
-        } else {
-            second.merge(first, weight, sample.arrived.len());
-        }
+        trials.swap(0, winner);
+        let rival = if rival == 0 { winner } else { rival };
+        verdict.winner = 0;
+        let (first, others) = trials.split_at_mut(1);
+        first[0].merge(&others[rival - 1], weight, sample.arrived.len());
     }
 
     /// One sample.
