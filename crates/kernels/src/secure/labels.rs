@@ -190,6 +190,12 @@ impl Labels {
         }
     }
 
+    /// Whether others are believed than before the sample was seen.
+    #[must_use]
+    pub fn surprises(&self, prior: &Prior, arrived: usize) -> bool {
+        (0..arrived).any(|index| self.believes(index) != (prior.probability[index][0] > 0.5))
+    }
+
     /// Whether the same sensors are believed.
     #[must_use]
     pub fn agrees(&self, other: &Self, arrived: usize) -> bool {

@@ -165,7 +165,7 @@ impl Secure {
         memory.expect(heard, sample, &mut work.prior);
     }
 
-    /// Every labelling that sweeps arrive at. Where the first accuses nobody and the gate agrees, there is no other.
+    /// Every labelling that sweeps arrive at. The regression is asked only if they disagree or it is news who lies.
     #[inline(always)]
     fn explain(&self, work: &mut Work, doubted: bool) {
         let settings = &self.settings;
@@ -175,8 +175,7 @@ impl Secure {
             let Work { sample, prior, information, scratch, trials, regression, kept, found, .. } = work;
             let (before, rest) = trials.split_at_mut(*found);
             let trial = &mut rest[0];
-            let accuses = |labels: &Labels| (0..arrived).any(|index| !labels.believes(index));
-            let suspicious = before.iter().any(accuses);
+            let surprised = before.len() > 1 || before.iter().any(|labels| labels.surprises(prior, arrived));
             match start {
                 Start::Memory => trial.begin(sample, prior, |index, _| {
                     let [honest, constant, ..] = prior.probability[index];
@@ -187,7 +186,7 @@ impl Secure {
                         (density::gate(sample, prior, index, one.size), 0.0)
                     });
                 }
-                Start::Regression if suspicious => {
+                Start::Regression if surprised => {
                     regression.begin(trial, (sample, prior), settings, information, scratch);
                 }
                 Start::Opposite if doubted => {
