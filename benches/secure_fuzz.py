@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from securestate import Belief, Plant, Run, SecureFilter, SecurestateWarning, Sensor, Status
 
 Float = NDArray[np.float64]
-Bool = NDArray[np.bool_]
 #: Samples of a record.
 T = 200
 #: Status of samples whose numbers may be beyond all bounds.
@@ -141,7 +140,7 @@ def faults(run: Run, y: Float) -> list[str]:
     assert run.P is not None
     plant, sent = run.plant, ~np.isnan(y)
     spoke = np.stack([sent[:, plant.channels_of(i)].any(axis=1) for i in range(plant.n_sensors)], axis=1)
-    finite: Bool = np.isfinite(run.x).all(axis=1) & np.isfinite(run.P).all(axis=(1, 2))
+    finite = np.isfinite(np.concatenate([run.x[..., np.newaxis], run.P], axis=2)).all(axis=(1, 2))
     largest = np.abs(np.where(finite[:, None, None], run.P, 0.0)).max(axis=(1, 2))
     lowest = np.linalg.eigvalsh(np.where(finite[:, None, None], run.P, 0.0)).min(axis=1)
     trust = np.where(plant.uncheckable & ~run.suspected & np.isnan(run.trust), 1.0, run.trust)
