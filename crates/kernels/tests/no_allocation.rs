@@ -26,6 +26,7 @@ use securestate_kernels::mixture_fusion::em::{Rules, Start};
 use securestate_kernels::mixture_fusion::{MixtureFusion, Settings as MixtureSettings};
 use securestate_kernels::projection::{Blocks, Projection};
 use securestate_kernels::protected::Protected;
+use securestate_kernels::secure::{Secure, settings::Settings as SecureSettings};
 use securestate_kernels::sparse_fusion::{self, SparseFusion};
 use securestate_kernels::{Design, Dims, Kernel, Record, Units};
 
@@ -301,6 +302,32 @@ fn an_innovation_mixture_step_allocates_nothing_with_any_settings() {
                 assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady {name}");
                 let prior = identity(n);
                 assert_eq!(allocations_of_steps(kernel.as_ref(), Some(&prior)), 0, "prior {name}");
+            }
+        }
+    }
+}
+
+fn secure_filter(states: usize, channels: usize, every: usize) -> std::sync::Arc<dyn Kernel> {
+    let (n, m) = (states, channels);
+    let (mut given, sensors) = (matrices(n, m), m.div_ceil(2));
+    (0..m * m).filter(|k| k / m / 2 != k % m / 2).for_each(|k| given.r[k] = 0.0);
+    let owner = given.channel_sensor.clone();
+    let protected = (0..sensors).map(|sensor| sensor % every == 1).collect();
+    let settings = SecureSettings::new((vec![1e-3; sensors], 1e-4), protected, &owner, vec![1.0; m]).unwrap();
+    let estimator = Secure::new(Model::new(given).unwrap(), Some(&identity(n)), settings).unwrap();
+    Design::boxed(estimator, plain_units(m)).unwrap()
+}
+
+#[test]
+fn a_secure_filter_step_allocates_nothing_in_doubt_or_not() {
+    for (n, m) in [(1_usize, 1_usize), (1, 6), (4, 9), (12, 30)] {
+        for every in [1, 2, 5] {
+            let kernel = secure_filter(n, m, every);
+            assert_eq!(allocations_of_steps(kernel.as_ref(), None), 0, "steady ({n}, {m}), 1 in {every}");
+            for size in [1e-4, 1.0, 1e4] {
+                let prior: Vec<f64> = identity(n).iter().map(|one| size * one).collect();
+                let counted = allocations_of_steps(kernel.as_ref(), Some(&prior));
+                assert_eq!(counted, 0, "prior {size} ({n}, {m}), 1 in {every}");
             }
         }
     }

@@ -225,3 +225,177 @@ fn diagonalise(matrix: &mut [f64], turn: &mut [f64], m: usize) {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers that look random, in (-1, 1).
+    struct Numbers(u64);
+
+    impl Numbers {
+        fn next(&mut self) -> f64 {
+            self.0 = self.0.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (self.0 >> 11) as f64 / (1_u64 << 52) as f64 - 1.0
+        }
+
+        fn vector(&mut self, m: usize) -> Vec<f64> {
+            (0..m).map(|_| self.next()).collect()
+        }
+
+        /// size F Fᵀ, F (m, rank).
+        fn square(&mut self, m: usize, rank: usize, size: f64) -> Vec<f64> {
+            let f = self.vector(m * rank);
+            let part = |k: usize| dot(&f[k / m * rank..][..rank], &f[k % m * rank..][..rank]);
+            (0..m * m).map(|k| size * part(k)).collect()
+        }
+    }
+
+    fn product(a: &[f64], b: &[f64], m: usize) -> Vec<f64> {
+        let width = b.len() / m;
+        let row = |k: usize| (0..m).map(|c| a[k / width * m + c] * b[c * width + k % width]).sum();
+        (0..m * width).map(row).collect()
+    }
+
+    fn inverse(a: &[f64], m: usize) -> Vec<f64> {
+        let (mut a, mut b) = (a.to_vec(), identity(m));
+        solve(&mut a, &mut b, m);
+        b
+    }
+
+    fn identity(m: usize) -> Vec<f64> {
+        (0..m * m).map(|k| f64::from(u8::from(k / m == k % m))).collect()
+    }
+
+    fn sum(a: &[f64], b: &[f64], factor: f64) -> Vec<f64> {
+        a.iter().zip(b).map(|(a, b)| a + factor * b).collect()
+    }
+
+    fn transposed(a: &[f64], m: usize) -> Vec<f64> {
+        (0..m * m).map(|k| a[k % m * m + k / m]).collect()
+    }
+
+    fn assert_close(mine: &[f64], truth: &[f64], tolerance: f64, what: &str) {
+        let size = truth.iter().fold(1e-300_f64, |size, value| size.max(value.abs()));
+        for (mine, truth) in mine.iter().zip(truth) {
+            assert!((mine - truth).abs() <= tolerance * size, "{what}: {mine} is not {truth}");
+        }
+    }
+
+    /// A sensor that the others expect at N(m, h), left out of a posterior in which its site is Λ, η.
+    struct Case {
+        m: usize,
+        mean: Vec<f64>,
+        h: Vec<f64>,
+        residual: Vec<f64>,
+        cavity: Cavity,
+        z: Vec<f64>,
+        v: Vec<f64>,
+        turned: Vec<f64>,
+        turn: Vec<f64>,
+    }
+
+    impl Case {
+        fn new(seed: u64) -> Self {
+            let mut numbers = Numbers(seed);
+            let m = 1 + seed as usize % 3;
+            let h = sum(&numbers.square(m, m, 3.0), &identity(m), 0.1);
+            let mean = numbers.vector(m);
+            let residual: Vec<f64> = numbers.vector(m).iter().map(|r| 4.0 * r).collect();
+            let (precision, eta) = (numbers.square(m, 1 + seed as usize % m, 2.0), numbers.vector(m));
+            let mut cavity = Cavity::new(3);
+            let spread = inverse(&sum(&inverse(&h, m), &precision, 1.0), m);
+            let expected = product(&spread, &sum(&product(&inverse(&h, m), &mean, m), &eta, 1.0), m);
+            cavity.spread[..m * m].copy_from_slice(&spread);
+            let room = || vec![0.0; m];
+            let (mut z, mut v, mut turned, mut turn) = (room(), room(), room(), vec![0.0; m * m]);
+            cavity.leave_out(
+                (&precision, &eta),
+                (&expected, &residual),
+                (&mut z, &mut v),
+                (&mut turned, &mut turn),
+            );
+            Self { m, mean, h, residual, cavity, z, v, turned, turn }
+        }
+    }
+
+    #[test]
+    fn leaving_a_site_out_gives_what_the_others_expect() {
+        for seed in 0..300 {
+            let Case { m, mean, h, residual, z, v, turned, turn, .. } = Case::new(seed);
+            assert_close(&product(&turn, &mean, m), &turned, 1e-9, "m");
+            assert_close(&z, &product(&turn, &sum(&residual, &mean, -1.0), m), 1e-9, "z");
+            let diagonal: Vec<f64> = (0..m * m).map(|k| identity(m)[k] * (v[k / m] - 1.0)).collect();
+            let back = product(&product(&transposed(&turn, m), &diagonal, m), &turn, m);
+            assert_close(&back, &h, 1e-9, "h");
+        }
+    }
+
+    #[test]
+    fn a_site_gives_the_mixture_its_mean_and_its_covariance() {
+        let mut exact = 0;
+        for seed in 0..600 {
+            let Case { m, mean, h, residual, mut cavity, z, v, turned, turn } = Case::new(seed);
+            let mut numbers = Numbers(seed + 10_000);
+            let share: Vec<f64> = numbers.vector(3).iter().map(|share| share.abs()).collect();
+            let belief: Vec<f64> = share.iter().map(|one| one / share.iter().sum::<f64>()).collect();
+            let (bias, added) = (numbers.vector(m), 1.0 + numbers.next());
+            let turned_bias = product(&turn, &bias, m);
+            let ways = [
+                Way { belief: belief[0], bias: None, added: 0.0 },
+                Way { belief: belief[1], bias: Some(&turned_bias), added },
+            ];
+            let view = View { z: &z, v: &v, mean: &turned, turn: &turn };
+            let (mut precision, mut eta) = (vec![0.0; m * m], vec![0.0; m]);
+            cavity.match_moments(&ways, &view, 1.0, (&mut precision, &mut eta));
+
+            // The three explanations one by one: mean and covariance of C e, by the textbook.
+            let none = vec![0.0; m];
+            let explained = |bias: &[f64], added: f64| {
+                let gain = product(&h, &inverse(&sum(&h, &identity(m), 1.0 + added), m), m);
+                let pull = product(&gain, &sum(&sum(&residual, &mean, -1.0), bias, -1.0), m);
+                (sum(&mean, &pull, 1.0), sum(&h, &product(&gain, &h, m), -1.0))
+            };
+            let parts = [explained(&none, 0.0), explained(&bias, added), (mean.clone(), h.clone())];
+            let (mut first, mut second) = (none.clone(), vec![0.0; m * m]);
+            for (share, (mean, _)) in belief.iter().zip(&parts) {
+                first = sum(&first, mean, *share);
+            }
+            for (share, (mean, covariance)) in belief.iter().zip(&parts) {
+                let d = sum(mean, &first, -1.0);
+                let outer: Vec<f64> = (0..m * m).map(|k| d[k / m] * d[k % m]).collect();
+                second = sum(&second, &sum(covariance, &outer, 1.0), *share);
+            }
+
+            let posterior = inverse(&sum(&inverse(&h, m), &precision, 1.0), m);
+            let shifted = sum(&product(&inverse(&h, m), &mean, m), &eta, 1.0);
+            assert_close(&product(&posterior, &shifted, m), &first, 1e-7, "mean");
+            let excess = sum(&h, &second, -1.0);
+            if (0..m).all(|a| excess[a * m + a] > 0.0) && posterior[0] > second[0] * (1.0 - 1e-9) {
+                exact += usize::from((posterior[0] - second[0]).abs() < 1e-7 * second[0]);
+            }
+            // No site takes away what the others know.
+            let left = sum(&h, &posterior, -1.0);
+            assert!((0..m).all(|a| left[a * m + a] >= -1e-9), "{left:?}");
+        }
+        assert!(exact > 300, "{exact}");
+    }
+
+    #[test]
+    fn a_matrix_turned_to_a_diagonal_turns_back() {
+        for seed in 0..400 {
+            let mut numbers = Numbers(seed);
+            let m = 1 + seed as usize % 6;
+            let rank = 1 + seed as usize / 6 % m;
+            let size = 10_f64.powi(seed as i32 % 20 - 10);
+            let matrix = if seed % 7 == 0 { identity(m) } else { numbers.square(m, rank, size) };
+            let (mut diagonal, mut turn) = (matrix.clone(), vec![0.0; m * m]);
+            diagonalise(&mut diagonal, &mut turn, m);
+            let straight = product(&turn, &transposed(&turn, m), m);
+            assert_close(&straight, &identity(m), 1e-13, "rows of unit length at right angles");
+            let kept: Vec<f64> = (0..m * m).map(|k| identity(m)[k] * diagonal[k]).collect();
+            let back = product(&product(&transposed(&turn, m), &kept, m), &turn, m);
+            assert_close(&back, &matrix, 1e-13, "Q D Qᵀ");
+        }
+    }
+}

@@ -319,7 +319,7 @@ impl Memory {
 
 /// (L v)_a of a sensor with R = L Lᵀ, v by its channels.
 #[inline(always)]
-fn colour(heard: &Heard, one: &Arrived, a: usize, v: impl Fn(usize) -> f64) -> f64 {
+pub(super) fn colour(heard: &Heard, one: &Arrived, a: usize, v: impl Fn(usize) -> f64) -> f64 {
     let row = heard.whitening().row(one.first + a);
     let from = a + 1 - row.len();
     row.iter().enumerate().map(|(b, l)| l * v(from + b)).sum()

@@ -4,11 +4,14 @@ use crate::Output;
 use crate::estimator::Status;
 use crate::kalman::gains::innovation_deviations;
 use crate::kalman::ud::Ud;
-use crate::secure::memory::Memory;
+use crate::secure::memory::{Memory, colour};
 use crate::secure::{Secure, Verdict, Work};
 
 /// Variance of an innovation over that of its noise beyond which rounding of the information form counts.
 const WIDEST: f64 = 1e13;
+
+/// Share of an innovation from which on it was cut before it was judged; less is rounding.
+const CUT: f64 = 1e-9;
 
 /// Deviations by which beliefs must disagree on a state to be called ambiguous, and the weight from which on.
 const APART: (f64, f64) = (1.0, 0.05);
@@ -48,8 +51,11 @@ impl Secure {
             out.suspected[one.sensor] = 1;
             distrusted += 1;
             let (injection, variance) = memory.injection(one.sensor, labels.label(index));
-            for &channel in &heard.channels()[one.first..one.first + one.size] {
-                out.attack[channel] = injection[channel];
+            for (a, &channel) in heard.channels()[one.first..one.first + one.size].iter().enumerate() {
+                let judged = colour(heard, one, a, |b| sample.residual[one.first + b]);
+                let cut = out.innovation[channel] - judged;
+                let beyond = if cut.abs() > CUT * judged.abs() { cut } else { 0.0 };
+                out.attack[channel] = injection[channel] + beyond;
                 out.attack_std[channel] = self.settings.deviations[channel] * variance.sqrt();
             }
         }
