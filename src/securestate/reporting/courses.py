@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate.reporting.blocks import channel_noise
+from securestate.reporting.chance import REMEMBERING
 from securestate.reporting.episodes import Episode
 
 if TYPE_CHECKING:
@@ -53,7 +54,8 @@ class Course:
         first: the injection at the beginning.
         last: the injection at the end.
         size: its typical absolute value: of `last`, or the root mean square if it is erratic.
-        spread: standard deviation of single estimates about the course, from the median absolute deviation.
+        spread: standard deviation of single estimates about the course, from the median absolute deviation;
+            at least `error` if the estimator remembers, so that they scatter less than they err.
         slope: change per sample, 0 if it is level throughout.
         settled: sample from which a settling one is level.
         noise: standard deviation of the channel's measurement noise.
@@ -90,6 +92,7 @@ class Course:
 
 def courses(run: Run, sensor: int, episode: Episode) -> tuple[Course, ...]:
     """The courses of all channels of a sensor in an episode."""
+    remembered = run.estimator in REMEMBERING
     rows = np.arange(episode.start, episode.stop + 1)
     rows = rows[run.suspected[rows, sensor]]
     noise = channel_noise(run.plant)
@@ -98,16 +101,15 @@ def courses(run: Run, sensor: int, episode: Episode) -> tuple[Course, ...]:
         estimate, error = run.attack[rows, c], run.attack_std[rows, c]
         known = np.isfinite(estimate)
         stated = error[known & np.isfinite(error)]
-        found.append(
-            course(
-                rows[known].astype(np.float64),
-                estimate[known],
-                channel=run.plant.channel_names[c],
-                unit=run.plant.units[c],
-                noise=float(noise[c]),
-                error=float(np.median(stated)) if stated.size else float(noise[c]),
-            )
+        one = course(
+            rows[known].astype(np.float64),
+            estimate[known],
+            channel=run.plant.channel_names[c],
+            unit=run.plant.units[c],
+            noise=float(noise[c]),
+            error=float(np.median(stated)) if stated.size else float(noise[c]),
         )
+        found.append(replace(one, spread=max(one.spread, one.error)) if remembered and one.known else one)
     return tuple(found)
 
 
