@@ -108,13 +108,19 @@ def courses(run: Run, sensor: int, episode: Episode) -> tuple[Course, ...]:
             unit=run.plant.units[c],
             noise=float(noise[c]),
             error=float(np.median(stated)) if stated.size else float(noise[c]),
+            early=float(np.median(stated[:PART])) if remembered and stated.size else 0.0,
         )
         found.append(replace(one, spread=max(one.spread, one.error)) if remembered and one.known else one)
     return tuple(found)
 
 
-def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, error: float) -> Course:
+def course(
+    t: Float, values: Float, *, channel: str, unit: str, noise: float, error: float, early: float = 0.0
+) -> Course:
     """The course of single estimates `values` at samples `t`, both (k,) and finite.
+
+    `early` is the error of the first estimates, if later ones follow from them: what the estimator learns is
+    no change of the injection.
 
     Examples:
         >>> t = np.arange(100.0)
@@ -125,7 +131,7 @@ def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, er
     if not values.size:
         nan = math.nan
         return Course(channel, unit, Kind.UNKNOWN, nan, nan, nan, nan, 0.0, None, noise, error)
-    slope, knee, fitted = _fitted(t, values)
+    slope, knee, fitted = _fitted(t, values, early)
     spread = _scatter(values - fitted)
     first, last = float(fitted[0]), float(fitted[-1])
     size = max(abs(first), abs(last))
@@ -141,11 +147,12 @@ def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, er
     return Course(channel, unit, kind, first, last, size, spread, slope, settled, noise, error)
 
 
-def _fitted(t: Float, values: Float) -> tuple[float, float | None, Float]:
+def _fitted(t: Float, values: Float, early: float) -> tuple[float, float | None, Float]:
     """Slope, sample at which it ends (None: it does not), and values of the simplest course that fits."""
     level = np.full(values.size, np.median(values))
     if values.size < 2 * PART:
-        return _line_of_few(t, values, level)
+        found = _line_of_few(t, values, level)
+        return found if _changes(found[2], early) else (0.0, None, level)
     where, points = _points(t), _points(values)
     best: tuple[float, float | None, Float] = (0.0, None, level)
     least = _rms(points - np.median(points))
@@ -155,9 +162,13 @@ def _fitted(t: Float, values: Float) -> tuple[float, float | None, Float]:
         base, slope = _straight(_bent(where, knee), points)
         left = _rms(points - base - slope * _bent(where, knee))
         fitted = base + slope * _bent(t, knee)
-        if left < BETTER * least and abs(fitted[-1] - fitted[0]) > SLOPE * _scatter(values - fitted):
+        if left < BETTER * least and _changes(fitted, max(early, _scatter(values - fitted))):
             best, least = (slope, knee, fitted), left if knee is None else left / BETTER
     return best
+
+
+def _changes(fitted: Float, error: float) -> bool:
+    return bool(abs(fitted[-1] - fitted[0]) > SLOPE * error)
 
 
 def _line_of_few(t: Float, values: Float, level: Float) -> tuple[float, float | None, Float]:
