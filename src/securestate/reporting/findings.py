@@ -212,10 +212,10 @@ def stated_rate(run: Run) -> float | None:
 def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> set[int]:
     """Which episodes fall into times at which too many sensors are suspected to blame them.
 
-    Persistent episodes first; sensors that are to blame do not count when brief ones are judged.
+    Persistent episodes first; sensors that are to blame do not count when brief ones are judged. Where
+    protected sensors judge, too many are suspected only while a filter that started at a wrong state settles.
     """
-    if run.estimator in BY_PROTECTED and run.plant.protected.any():
-        return set()
+    judged = run.estimator in BY_PROTECTED and run.plant.protected.any()
     found: set[int] = set()
     suspected, heard = run.suspected.copy(), sent.copy()
     for persistent, least in ((True, 1), (False, MANY)):
@@ -224,6 +224,8 @@ def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> set[
         for k, (i, episode) in enumerate(each):
             rows = slice(episode.start, episode.stop + 1)
             if episode.persistent is not persistent:
+                continue
+            if judged and (episode.start >= START or episode.until_end):
                 continue
             if 2 * np.sum(crowded[rows] & run.suspected[rows, i]) > episode.suspected:
                 found.add(k)
