@@ -13,7 +13,7 @@ from securestate.reporting import find
 from securestate.reporting.clock import Clock
 from securestate.reporting.courses import Kind
 from securestate.reporting.findings import Finding
-from securestate.reporting.telling import what
+from securestate.reporting.telling import remarks, what
 from tests.reporting.made_runs import SHIFT, lie, made_lies, made_run, with_silence
 
 RATE = 1e-3
@@ -244,6 +244,18 @@ def test_a_method_that_remembers_blames_for_what_stands_out_or_lasts() -> None:
     assert "by chance" not in what(faint, Clock.of(made_lies({})))
     assert found(160, 7.0).verdict == found(300, 3.0).verdict == "lied"
     assert found(160, 3.0, "InnovationGate").verdict == "lied"
+
+
+def test_what_a_filter_with_a_memory_makes_of_a_far_start_blames_nobody() -> None:
+    run = replace(made_lies({1: lie(0, 50)}, rate=RATE), estimator="SecureFilter")
+    findings = find(run)
+    assert findings.found == () and findings.alarms.at_start == (("XMEAS 2", 50),)
+    assert "for a while XMEAS 2 was suspected, as may happen" in next(remarks(findings.alarms))
+    assert "--prior window" in next(remarks(findings.alarms))
+    started = replace(run, status=np.where(np.arange(400) < 4, Status.COLD_START, 0).astype(np.uint8))
+    assert find(started).found[0].lies and find(replace(run, estimator="InnovationGate")).found[0].lies
+    lasting = replace(made_lies({1: lie(0, 300)}, rate=RATE), estimator="SecureFilter")
+    assert find(lasting).found[0].lies
 
 
 def test_the_rate_of_a_test_of_all_sensors_at_once_is_no_rate_of_one() -> None:

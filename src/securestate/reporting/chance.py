@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from securestate.estimators.base import Status
 from securestate.reporting.episodes import WINDOW, Episode
 
 if TYPE_CHECKING:
@@ -92,3 +93,12 @@ def faint(run: Run, sensor: int, episode: Episode) -> bool:
     known = run.suspected[rows, sensor][:, None] & np.isfinite(injected) & (error > 0)
     limit = stats.norm.isf(RARE / (2 * WINDOW * run.innovation.size))
     return bool(known.any()) and bool(np.max(injected[known] / error[known]) < limit)
+
+
+def carried_over(run: Run, episode: Episode, start: int) -> bool:
+    """Whether an episode may be left of a start away from the true state, that an estimator remembered.
+
+    It may if it begins within `start` samples, is not LONG, and no cold start preceded it.
+    """
+    begun = run.estimator in REMEMBERING and run.status[0] != Status.COLD_START
+    return begun and episode.start < start and episode.sent < LONG

@@ -12,7 +12,7 @@ from scipy import stats
 
 from securestate.errors import InputError
 from securestate.estimators.base import Status
-from securestate.reporting.chance import Chance, faint
+from securestate.reporting.chance import Chance, carried_over, faint
 from securestate.reporting.clock import Moment
 from securestate.reporting.courses import Course, courses
 from securestate.reporting.episodes import Episode, episodes, silent
@@ -172,7 +172,10 @@ def find(run: Run) -> Findings:
     together, chance = _together(run, sent, each), Chance.of(each, len(names), int(quiet.sum()), rate)
     found, alone, early = [], np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     for k, (i, episode) in enumerate(each):
-        if episode.suspected > 1 and episode.stop < settled < len(run.x) and not episode.until_end:
+        ends = episode.stop < settled < len(run.x) or (
+            k not in together and carried_over(run, episode, START)
+        )
+        if episode.suspected > 1 and ends and not episode.until_end:
             early[i] += episode.suspected
         elif episode.persistent or not (k in together or chance.explains(i, episode)):
             found.append(_finding(run, i, episode, sent[:, i], rate, together=k in together))

@@ -68,7 +68,8 @@ def _kind(s: SensorSummary) -> str:
 
 def _sentence(f: Finding, clock: Clock) -> str:
     """A finding, with its time as a link that shows it in the charts."""
-    return f"<b>{escape(f.sensor)}</b> {linked(escape(what(f, clock)), f.since, clock)}"
+    mark = "<b>" if f.lies else '<b class="unblamed">'
+    return f"{mark}{escape(f.sensor)}</b> {linked(escape(what(f, clock)), f.since, clock)}"
 
 
 def _table(found: Sequence[tuple[SensorSummary, Finding]], clock: Clock) -> str:

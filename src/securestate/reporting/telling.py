@@ -132,8 +132,11 @@ def remarks(alarms: Alarms) -> Iterator[str]:
     if alarms.at_start:
         names = enumerate_names(tuple(name for name, _ in alarms.at_start))
         were = "was" if len(alarms.at_start) == 1 else "were"
-        where = f"At the start, before sample {alarms.settled},"
-        yield f"{where} {names} {were} suspected, as may happen while a filter settles."
+        if max(number for _, number in alarms.at_start) <= alarms.settled:
+            where, advice = f"At the start, before sample {alarms.settled},", ""
+        else:
+            where, advice = "From the start on and for a while", "; a window avoids it (--prior window)"
+        yield f"{where} {names} {were} suspected, as may happen while a filter settles{advice}."
     if alarms.count:
         yield _isolated(alarms)
     for name, number in alarms.frequent:
