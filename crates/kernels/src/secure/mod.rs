@@ -313,7 +313,7 @@ impl Secure {
             work.complete = all && self.model.horizon.is_none();
         }
         if *k > 0 {
-            memory.move_on(settings);
+            memory.move_on(settings, &work.sample);
         }
         self.model.innovation(*k, x, (y, u), &mut work.innovation);
         self.measure(work, prior, memory);

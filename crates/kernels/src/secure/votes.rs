@@ -44,7 +44,7 @@ pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> b
     }
     information.clear();
     for (channel, protected) in channels(sample, labels, true) {
-        let factor = if protected { PROTECTED } else { unit(information, channel) };
+        let factor = unit(information, channel) * if protected { PROTECTED } else { 1.0 };
         information.weigh(factor, channel);
     }
     information.update();
