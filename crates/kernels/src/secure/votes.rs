@@ -1,6 +1,7 @@
 //! Whether the accused are too many to be the liars.
 //!
-//! They are if they are no minority, and also if, of the sensors that see the state along the same line, more are accused
+//! They are if they are no minority; a sensor alone with what it sees is not counted, because nobody speaks against it but
+//! the prediction. They also are if, of the sensors that see the state along the same line, more are accused
 //! than all that are believed see of that line, the prediction counting as one:
 //!
 //! ```text
@@ -13,7 +14,7 @@
 
 use crate::linalg::dot;
 use crate::mixture::information::Information;
-use crate::mixture::sample::Sample;
+use crate::mixture::sample::{Arrived, Sample};
 use crate::secure::Work;
 use crate::secure::labels::Labels;
 use crate::secure::settings::{Part, Settings};
@@ -32,14 +33,7 @@ const PROTECTED: f64 = 1e3;
 pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> bool {
     let Work { sample, information, trials, .. } = work;
     let labels = &trials[winner];
-    let accused = channels(sample, labels, false).count();
-    if accused == 0 {
-        return false;
-    }
-    if (0..sample.arrived.len()).filter(|&index| !labels.believes(index)).count() > settings.most(sample) {
-        return true;
-    }
-    if accused == 1 || !settings.has(Part::Votes) {
+    if channels(sample, labels, false).next().is_none() {
         return false;
     }
     information.clear();
@@ -48,16 +42,39 @@ pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> b
         information.weigh(factor, channel);
     }
     information.update();
-    channels(sample, labels, false).any(|(channel, _)| {
-        let (z, length) = (information.z(channel), unit(information, channel));
-        let alike = |other: usize| {
-            let cosine = length * unit(information, other) * dot(z, information.z(other));
-            cosine.abs() > SAME
-        };
-        let votes = channels(sample, labels, false).filter(|(other, _)| alike(*other)).count();
-        let open: f64 = information.w_t().map(|w| w[channel] * w[channel]).sum();
-        votes > 1 && votes as f64 * length * length * open > 1.0 + ROUNDING
+    let mut heads = 0;
+    for one in accused(sample, labels) {
+        let (mut counts, mut many) = (false, false);
+        for channel in one.first..one.first + one.size {
+            let length = unit(information, channel);
+            let alike =
+                accused(sample, labels).filter(|other| sees_the_same(information, channel, other)).count();
+            let open = length * length * information.w_t().map(|w| w[channel] * w[channel]).sum::<f64>();
+            counts |= alike > 1 || open < 1.0 - ROUNDING;
+            many |= alike > 1 && alike as f64 * open > 1.0 + ROUNDING;
+        }
+        if many && settings.has(Part::Votes) {
+            return true;
+        }
+        heads += usize::from(counts);
+    }
+    heads > settings.most(sample)
+}
+
+/// Whether a sensor sees the state along the line of a channel.
+#[inline(always)]
+fn sees_the_same(information: &Information, channel: usize, other: &Arrived) -> bool {
+    let (z, length) = (information.z(channel), unit(information, channel));
+    (other.first..other.first + other.size).any(|own| {
+        let cosine = length * unit(information, own) * dot(z, information.z(own));
+        cosine.abs() > SAME
     })
+}
+
+/// The sensors that are not believed.
+#[inline(always)]
+fn accused<'a>(sample: &'a Sample, labels: &'a Labels) -> impl Iterator<Item = &'a Arrived> {
+    sample.arrived.iter().enumerate().filter(|(index, _)| !labels.believes(*index)).map(|(_, one)| one)
 }
 
 /// Channels of the sensors that are believed, or of those that are not, and whether they are protected.
