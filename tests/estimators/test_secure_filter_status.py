@@ -13,16 +13,22 @@ from tests.estimators.mixture_cases import scalar_plant
 # ---------------------------------------------------------------- statuses
 
 
-def equal_sensors(values: list[float]) -> Run:
-    sensors = [Sensor(f"s{i}", C=[1.0], R=0.01) for i in range(len(values))]
+def equal_sensors(values: list[float], R: list[float] | None = None) -> Run:
+    sensors = [Sensor(f"s{i}", C=[1.0], R=R[i] if R else 0.01) for i in range(len(values))]
     return SecureFilter(Plant([[1.0]], [[1.0]], sensors)).run([values], prior=Belief([0.0], [[4.0]]))
 
 
+def test_two_pairs_that_contradict_each_other_are_ambiguous_and_p_holds_both() -> None:
+    run = equal_sensors([0.5, 0.6, -0.6, -0.65, -0.2], [0.01] * 4 + [40.0])
+    assert run.status[0] == Status.AMBIGUOUS and run.diagnostics["rival"][0] > 0.05
+    assert abs(run.x[0, 0]) < 0.5 < run.x_std[0, 0]  # .07 if either pair were believed
+    assert run.trust[0, 4] > 0.9 and (np.abs(run.trust[0, :4] - 0.5) < 0.3).all()
+
+
 @pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
-def test_two_against_two_is_ambiguous_and_p_holds_both() -> None:
+def test_half_against_half_is_a_majority_that_is_suspected() -> None:
     run = equal_sensors([1.9, 2.0, -1.95, -2.05])
-    assert run.status[0] == Status.AMBIGUOUS and run.x_std[0, 0] > 1.5
-    assert run.diagnostics["rival"][0] > 0.05
+    assert run.status[0] == Status.MAJORITY_SUSPECT and run.suspected.sum() == 2
 
 
 def test_a_majority_that_is_suspected_is_said() -> None:

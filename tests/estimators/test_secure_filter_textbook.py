@@ -5,7 +5,7 @@ Of the labels only honest and wild are possible before anything is remembered:
     honest   r_i ~ N(C_i e, R_i), e ~ N(0, P)
     wild     u_i = V_i^-1/2 (r_i - m_i), half N(0, (1 + BROAD) I) and half N(mu, (1 + tau^2) I)
 
-m_i and V_i are what the others expect, mu and tau^2 come from all wild ones with a normal-inverse-gamma prior.
+m_i and V_i are what the others expect; mu and tau^2 have a normal-inverse-gamma prior, and learn from all.
 """
 
 from __future__ import annotations
