@@ -6,15 +6,25 @@ import ast
 from collections.abc import Callable, Mapping
 from functools import partial
 
-import securestate
 from benches._secure_cells import FAMILY, Cell
 from benches._secure_limit import WAYS
-from securestate import Estimator, InnovationMixture, JointFusion, MixtureFusion, OracleFilter, Plant
+from securestate import (
+    Estimator,
+    InnovationMixture,
+    JointFusion,
+    MixtureFusion,
+    OracleFilter,
+    Plant,
+    SecureFilter,
+)
 from securestate.estimators.registry import METHODS
+from securestate.estimators.secure_filter import kernel
 
 Design = Callable[[Plant], Estimator | OracleFilter]
 
 ORACLE = "oracle"
+#: The method that the others are held against.
+JUDGED = "secure"
 #: What no method can be held against, because it is told what they are not.
 TOLD = frozenset({ORACLE, *WAYS})
 #: Their design takes longer than all that the others do. Where every run has its own plant they get this
@@ -32,22 +42,35 @@ _VARIANTS: Mapping[str, Design] = {
 }
 
 
+#: Parts of SecureFilter that can be left out: "secure without reuse".
+PARTS = ("habits", "steady", "reuse", "regression", "doubt", "votes")
+
+
+def _ablated(plant: Plant, part: str) -> Estimator:
+    """SecureFilter without a part."""
+    estimator = SecureFilter(plant)
+    rate = float(str(estimator.settings["false_alarm_rate"]))
+    estimator.kernel = kernel(plant, estimator.steady, rate, [part])
+    return estimator
+
+
 def methods() -> dict[str, Design]:
     """All of them by name, the oracle first and the one that is judged second."""
     known: dict[str, Design] = {name: method.design for name, method in METHODS.items()} | dict(_VARIANTS)
-    secure = getattr(securestate, "SecureFilter", None)
-    if secure is not None and secure not in known.values():
-        known["secure"] = secure
-    first = judged(known)
-    return {ORACLE: OracleFilter, first: known[first]} | known
+    return {ORACLE: OracleFilter, JUDGED: known[JUDGED]} | known
 
 
 def variant(name: str) -> Design | None:
     """The method of this name, settings after a colon as in "gate:false_alarm_rate=.1"; None: there is none.
 
+    SecureFilter without one of its `PARTS` is "secure without reuse" and the like.
+
     Several settings have a semicolon between them; a value is a literal of Python, or else a word.
     """
     base, _, settings = name.partition(":")
+    word, _, part = base.partition(" without ")
+    if word == JUDGED and part in PARTS:
+        return partial(_ablated, part=part)
     design = methods().get(base)
     if design is None or not settings:
         return design
@@ -60,12 +83,6 @@ def _literal(text: str) -> object:
         return ast.literal_eval(text)
     except (ValueError, SyntaxError):
         return text
-
-
-def judged(known: Mapping[str, Design]) -> str:
-    """The method that the others are held against: `SecureFilter` once there is one."""
-    secure = getattr(securestate, "SecureFilter", None)
-    return next((name for name, design in known.items() if design is secure), "innovation-mixture")
 
 
 def runs_of(method: str, cell: Cell, runs: int) -> int:

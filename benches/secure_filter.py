@@ -37,7 +37,7 @@ from threadpoolctl import threadpool_limits
 from benches import _secure_table, machine, table
 from benches._secure_cells import CELLS, Cell
 from benches._secure_limit import CELLS_WITH_LIMIT, WAYS
-from benches._secure_methods import ORACLE, judged, methods, runs_of, variant
+from benches._secure_methods import JUDGED, ORACLE, PARTS, methods, runs_of, variant
 from benches._secure_score import KEPT, Result, Results, attempt, join
 
 #: Runs handed to a process at a time.
@@ -76,7 +76,6 @@ def work(plan: Plan, cell: Cell, numbers: range) -> Results:
 def main(arguments: list[str] | None = None) -> int:
     options = _parser().parse_args(arguments)
     known = methods()
-    judge = judged(known)
     unknown = [name for name in options.methods or () if variant(name) is None]
     cells = [
         cell for cell in (CELLS_WITH_LIMIT if options.limit else CELLS) if re.search(options.cells, cell.name)
@@ -85,7 +84,9 @@ def main(arguments: list[str] | None = None) -> int:
         what = f"methods {', '.join(unknown)}" if unknown else f"cell as {options.cells!r}"
         print(f"No such {what}. Methods: {', '.join(known)}.", file=sys.stderr)
         return 2
-    chosen = options.methods or ([judge] if options.limit else known)
+    ablated = [JUDGED, *(f"{JUDGED} without {part}" for part in PARTS)]
+    few = ablated if options.ablate else [JUDGED] if options.limit else None
+    chosen = options.methods or few or known
     names = list(dict.fromkeys([ORACLE, *chosen, *(WAYS if options.limit else ())]))
     plan = Plan(cells, names, options.runs, options.first_seed)
     done = read(options.out, plan) if options.resume else {}
@@ -101,7 +102,7 @@ def main(arguments: list[str] | None = None) -> int:
                 write(options.out, plan, done)
     except KeyboardInterrupt:
         whole = False
-    _finish(done, judge if judge in names else names[len(names) > 1], plan)
+    _finish(done, JUDGED if JUDGED in names else names[len(names) > 1], plan)
     return 0 if whole else 130
 
 
@@ -124,6 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         type=lambda text: text.split(","),
         help="only these, comma between; settings as in gate:false_alarm_rate=.1",
     )
+    parser.add_argument("--ablate", action="store_true", help="the secure filter without each of its parts")
     parser.add_argument("--processes", type=int, default=2)
     parser.add_argument("--out", type=Path, metavar="FILE.json", help="keep the numbers of every run")
     parser.add_argument(

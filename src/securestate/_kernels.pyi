@@ -141,7 +141,13 @@ def innovation_mixture(
     monitor: tuple[float | None, _Float],
 ) -> Kernel: ...
 def secure_filter(
-    plant: Plant, prior: _Float | None, *, onset: _Float, steady: float, deviations: _Float
+    plant: Plant,
+    prior: _Float | None,
+    *,
+    onset: _Float,
+    steady: float,
+    deviations: _Float,
+    without: list[str],
 ) -> Kernel: ...
 def simulate(
     plant: Plant,

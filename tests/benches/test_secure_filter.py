@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from scipy.linalg import solve_discrete_are
 
-import securestate
 from benches import secure_filter
 from benches._secure_cells import CELLS, CLEAN, Cell, cell, episode
 from benches._secure_limit import CELLS_WITH_LIMIT, _Bayes, gaussian, limit, sets
-from benches._secure_methods import judged, methods, variant
+from benches._secure_methods import JUDGED, PARTS, methods, variant
 from benches._secure_score import Result, against_best, attempt, relative
 from securestate import InnovationMixture, KalmanFilter, OracleFilter
 
@@ -181,11 +180,13 @@ def test_every_registered_method_takes_part_or_says_why_not() -> None:
     assert refused["kalman"].rows
 
 
-def test_the_secure_filter_is_judged_once_there_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(securestate, "SecureFilter", None, raising=False)
-    assert judged(methods()) == list(methods())[1] == "innovation-mixture"
-    monkeypatch.setattr(securestate, "SecureFilter", type("SecureFilter", (KalmanFilter,), {}))
-    assert judged(methods()) == list(methods())[1] == "secure"
+def test_the_secure_filter_is_judged_whole_and_without_its_parts() -> None:
+    assert list(methods())[1] == JUDGED
+    names = [JUDGED, *(f"{JUDGED} without {part}" for part in PARTS)]
+    found = attempt(named("scalar bias:20 6 fixed"), SEED, names)
+    errors = {name: found[name].rows[0][0] for name in names}
+    assert errors["secure without reuse"] > 1.2 * errors[JUDGED]  # liars are a third of the information
+    assert variant("secure without merit") is None
 
 
 def test_settings_stand_after_the_name() -> None:

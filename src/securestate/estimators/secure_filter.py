@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import final
 
 import numpy as np
@@ -40,16 +41,16 @@ class SecureFilter(Estimator):
 
     At every sample each sensor is believed to be honest or to lie in one of three ways:
 
-        honest      r_i ~ N(C_i e, R_i),                r_i = y_i - C_i x[k|k-1] - D_i u,  e ~ N(0, P[k|k-1])
-        constant    r_i ~ N(C_i e + b_i, (1.5 + s_i) R_i),   b_i what it injected so far
-        drifting    rho_i ~ N(b_i, V_i + s_i R_i),      rho_i, V_i: r_i less what the others expect
-        wild        rho_i ~ a mixture: N(0, 16 V_i), and the common spread of those who lie at this sample
+        honest      r_i ~ N(C_i e, R_i),  r_i = y_i - C_i x[k|k-1] - D_i u,  e ~ N(0, P[k|k-1])
+        constant    r_i ~ N(C_i e + b_i, (1.5 + s_i) R_i),  b_i, s_i: what it injected so far
+        drifting    rho_i ~ N(b_i, V_i + s_i R_i),  rho_i, V_i: r_i less what the others expect
+        wild        rho_i ~ N(0, 16 V_i), or the common spread of those who lie at this sample
 
-    The beliefs are those of `InnovationMixture`, by expectation propagation, with memory: habits of lying (for
-    long, for a few samples, or anew every time) are learned from all sensors, and injections are followed.
-    A sensor that lies by a constant is used again, less its injection. Sweeps begin from what is remembered,
-    from a gate on the prediction and, if somebody is accused, from a robust regression; where two labellings
-    are close, x is their mean and P holds how far they are apart. If the accused outvote the believed for
+    The beliefs are those of `InnovationMixture`, by expectation propagation, with memory: habits of lying
+    (for long, for a few samples, or anew every time) are learned from all sensors, and injections are
+    followed. A sensor that lies by a constant is used again, less its injection. Sweeps begin from what is
+    remembered, from a gate on the prediction and, if it is news who lies, from a robust regression; where two
+    labellings are close, x is their mean and P holds how far they are apart. If the accused outvote the believed for
     three samples, the filter tries again without its memory, P[k|k-1] inflated.
 
     Args:
@@ -104,16 +105,23 @@ class SecureFilter(Estimator):
             raise InputError("false_alarm_rate", f"at most {HIGHEST_RATE:g}", f"{rate:g}")
         self.steady, self.no_steady_state = steady_or_reason(plant)
         refuse_shared_noise(plant)
-        sizes = np.bincount(plant.channel_sensor, minlength=plant.n_sensors)
-        kernel = _kernels.secure_filter(
-            plant,
-            prior_covariance(self.steady),
-            onset=onset_probability(sizes, rate),
-            steady=STEADY * rate,
-            deviations=np.ascontiguousarray(np.sqrt(np.diag(plant.R))),
-        )
-        super().__init__(plant, kernel, {"false_alarm_rate": rate})
+        super().__init__(plant, kernel(plant, self.steady, rate), {"false_alarm_rate": rate})
         warn_of_limit(plant)
+
+
+def kernel(
+    plant: Plant, steady: SteadyState | None, false_alarm_rate: float, without: Sequence[str] = ()
+) -> _kernels.Kernel:
+    """The kernel of a plant; `without` names parts to leave out, to measure what they are worth."""
+    sizes = np.bincount(plant.channel_sensor, minlength=plant.n_sensors)
+    return _kernels.secure_filter(
+        plant,
+        prior_covariance(steady),
+        onset=onset_probability(sizes, false_alarm_rate),
+        steady=STEADY * false_alarm_rate,
+        deviations=np.ascontiguousarray(np.sqrt(np.diag(plant.R))),
+        without=list(without),
+    )
 
 
 def onset_probability(channels: NDArray[np.intp], false_alarm_rate: float) -> Float:

@@ -88,14 +88,14 @@ impl Cavity {
         (mean, turn): (&mut [f64], &mut [f64]),
     ) {
         let m = eta.len();
-        for a in 0..m {
+        for (a, expected) in expected.iter().enumerate() {
             let row = &self.spread[a * m..(a + 1) * m];
             for b in 0..m {
                 let known: f64 = (0..m).map(|c| row[c] * precision[c * m + b]).sum();
                 self.system[a * m + b] = f64::from(u8::from(a == b)) - known;
             }
             self.right[a * (m + 1)..a * (m + 1) + m].copy_from_slice(row);
-            self.right[a * (m + 1) + m] = expected[a] - dot(row, eta);
+            self.right[a * (m + 1) + m] = expected - dot(row, eta);
         }
         solve(&mut self.system[..m * m], &mut self.right[..m * (m + 1)], m);
         for a in 0..m {
@@ -154,8 +154,8 @@ impl Cavity {
             }
         }
         for a in 0..m {
-            for b in 0..m {
-                let known = self.tilt[a * m + b] * (v[b] - 1.0);
+            for (b, v) in v.iter().enumerate() {
+                let known = self.tilt[a * m + b] * (v - 1.0);
                 self.system[a * m + b] = f64::from(u8::from(a == b)) - known;
             }
         }

@@ -4,7 +4,7 @@
 use crate::mixture::information::Information;
 use crate::mixture::sample::{Arrived, Sample};
 use crate::secure::labels::{Label, Labels, Prior, Scratch};
-use crate::secure::settings::{BROAD, Settings};
+use crate::secure::settings::{BROAD, SHARES, Settings};
 
 /// log evidence that an accusation beyond the most possible costs.
 const MAJORITY: f64 = 1e3;
@@ -64,7 +64,7 @@ pub fn densities(z: &[f64], v: &[f64], lies: &Lies<'_>) -> [f64; 4] {
     }
     let [honest, constant, drifting, broad, learned] =
         parts.map(|(log, scale)| scale * (log - largest).exp());
-    [honest, constant, drifting, 0.5 * (broad + learned)]
+    [honest, constant, drifting, SHARES.0 * broad + SHARES.1 * learned]
 }
 
 /// Belief that a sensor is honest by its innovation alone, against the broad density of the wild.
@@ -98,11 +98,12 @@ impl Labels {
                 Label::Constant => prior.noise(index),
                 Label::Drifting | Label::Wild => continue,
             };
-            for channel in one.first..one.first + one.size {
+            for (offset, eta) in eta[one.first..one.first + one.size].iter_mut().enumerate() {
+                let channel = one.first + offset;
                 let bias = if label == Label::Constant { prior.offset[channel] } else { 0.0 };
                 let residual = sample.residual[channel] - bias;
                 log -= 0.5 * (residual * residual / noise + noise.ln());
-                eta[channel] = residual / noise;
+                *eta = residual / noise;
                 information.weigh((1.0 / noise).sqrt(), channel);
             }
         }
@@ -146,8 +147,8 @@ impl Labels {
                 let broad = log(&|_, z, v| wide(&[z], &[v], |_| 0.0, BROAD));
                 let learned = log(&|a, z, v| wide(&[z], &[v], |_| self.mu[a], self.tau2));
                 let largest = broad.0.max(learned.0);
-                let sum = broad.1 * (broad.0 - largest).exp() + learned.1 * (learned.0 - largest).exp();
-                largest + (0.5 * sum).ln()
+                let part = |share: f64, part: (f64, f64)| share * part.1 * (part.0 - largest).exp();
+                largest + (part(SHARES.0, broad) + part(SHARES.1, learned)).ln()
             }
         }
     }

@@ -39,6 +39,8 @@ pub struct Prior {
     pub offset: Vec<f64>,
     /// b of a drifting one.
     pub drift: Vec<f64>,
+    /// Noise that is added to a sensor that lies by a constant, in units of R.
+    pub reuse: f64,
 }
 
 impl Prior {
@@ -50,13 +52,14 @@ impl Prior {
             spread: vec![[0.0; 2]; sensors],
             offset: vec![0.0; channels],
             drift: vec![0.0; channels],
+            reuse: CAUTION,
         }
     }
 
     /// Noise of a sensor that lies by a constant, in units of R.
     #[inline(always)]
     pub(super) fn noise(&self, index: usize) -> f64 {
-        1.0 + self.spread[index][0] + CAUTION
+        1.0 + self.spread[index][0] + self.reuse
     }
 }
 

@@ -19,10 +19,13 @@ use crate::codec::{Decoder, Encoder};
 use crate::kalman::heard::Heard;
 use crate::mixture::sample::{Arrived, Sample};
 use crate::secure::labels::{Label, Labels, Prior};
-use crate::secure::settings::{CHANGE, END, FADE, FIRST, HABITS, SETTLE, Settings, TURN};
+use crate::secure::settings::{CAUTION, CHANGE, END, FADE, FIRST, HABITS, Part, SETTLE, Settings, TURN};
 
 /// Beliefs about a sensor are kept this far from certainty, in odds at the most of 10^6.
 const CERTAIN: f64 = 1e-6;
+
+/// Noise added to a liar that is used less its injection, where it is not to be used: too large to count.
+const UNUSED: f64 = 1e6;
 
 /// Most that one sample says for or against a lie, as a ratio.
 const DECISIVE: f64 = 1e13;
@@ -194,7 +197,7 @@ impl Memory {
 
     /// What to expect of the sensors that arrived.
     #[inline(always)]
-    pub fn expect(&self, heard: &Heard, sample: &Sample, prior: &mut Prior) {
+    pub fn expect(&self, settings: &Settings, heard: &Heard, sample: &Sample, prior: &mut Prior) {
         let channels = heard.channels();
         let steady = [(&self.drifting, &mut prior.drift), (&self.constant, &mut prior.offset)];
         for (steady, target) in steady {
@@ -208,13 +211,16 @@ impl Memory {
             let i = one.sensor;
             let lies: f64 =
                 self.lying.chunks_exact(sensors).zip(&self.weight).map(|(lying, w)| w * lying[i]).sum();
+            let lies = if settings.has(Part::Habits) { lies } else { settings.onset[i] };
             let lies = lies.clamp(CERTAIN, 1.0 - CERTAIN);
-            let (drifting, constant) = (self.drifting.belief[i], self.constant.belief[i]);
+            let kept = if settings.has(Part::Steady) { 1.0 } else { 0.0 };
+            let (drifting, constant) = (kept * self.drifting.belief[i], kept * self.constant.belief[i]);
             let steady = drifting + constant;
             let cut = (1.0 - CERTAIN).min(steady) / steady.max(f64::MIN_POSITIVE);
             let rest = 1.0 - steady * cut;
             prior.probability[index] = [rest * (1.0 - lies), constant * cut, drifting * cut, rest * lies];
             prior.spread[index] = [self.constant.spread[i], self.drifting.spread[i]];
+            prior.reuse = if settings.has(Part::Reuse) { CAUTION } else { UNUSED };
         }
     }
 

@@ -1,4 +1,16 @@
-//! The secure filter.
+//! Finds who lies, remembers it, and estimates the state as if the liars were known.
+//!
+//! ```text
+//!     1  what is remembered of every sensor, one sample on ([`memory`])
+//!     2  innovations about N(C x⁻, C P⁻ Cᵀ + R)
+//!     3  beliefs and sites to their fixed point, from several starts ([`labels`], [`density`], [`cavity`], [`robust`])
+//!     4  the labelling of largest evidence; a rival that is close is merged, its spread included
+//!     5  if the accused outvote the believed for some samples ([`votes`]), 2–4 again without memory and prediction
+//!     6  x, P by the sites; remember; predict
+//! ```
+//!
+//! What arrives per sample, the square-root information filter and the posterior are those of [`crate::mixture`].
+//! docs/secure-filter.md explains the model and says what was measured.
 
 pub mod cavity;
 pub mod density;
@@ -21,7 +33,7 @@ use crate::mixture::sample::Sample;
 use crate::secure::labels::{Labels, Prior, Scratch};
 use crate::secure::memory::Memory;
 use crate::secure::robust::Regression;
-use crate::secure::settings::{DOUBT, SWEEPS, Settings};
+use crate::secure::settings::{DOUBT, Part, SWEEPS, Settings};
 use crate::{Dims, Error, Estimator, Output, Result};
 
 /// Beliefs that sweeps begin from: what is remembered, a gate on the prediction, a robust regression, and, in doubt, the
@@ -56,7 +68,7 @@ pub struct Secure {
     widest: usize,
 }
 
-/// Belief about x[k|k−1], what is remembered of the sensors, and scratch.
+/// Belief about x\[k|k−1\], what is remembered of the sensors, and scratch.
 #[derive(Debug, Clone)]
 pub struct State {
     k: usize,
@@ -162,7 +174,7 @@ impl Secure {
         sample.residual[..white.len()].copy_from_slice(white);
         information.see(prior, heard.rows());
         sample.measure(information);
-        memory.expect(heard, sample, &mut work.prior);
+        memory.expect(&self.settings, heard, sample, &mut work.prior);
     }
 
     /// Every labelling that sweeps arrive at. The regression is asked only if they disagree or it is news who lies.
@@ -186,7 +198,7 @@ impl Secure {
                         (density::gate(sample, prior, index, one.size), 0.0)
                     });
                 }
-                Start::Regression if surprised => {
+                Start::Regression if surprised && settings.has(Part::Regression) => {
                     regression.begin(trial, (sample, prior), settings, information, scratch);
                 }
                 Start::Opposite if doubted => {
@@ -236,7 +248,7 @@ impl Secure {
     fn doubt(&self, work: &mut Work, memory: &mut Memory, prior: &Ud, verdict: Verdict) -> Verdict {
         let settings = &self.settings;
         memory.outvoted = if verdict.outvoted { memory.outvoted.saturating_add(1) } else { 0 };
-        if memory.outvoted < DOUBT.0 {
+        if memory.outvoted < DOUBT.0 || !settings.has(Part::Doubt) {
             return verdict;
         }
         work.kept.copy_from(&work.trials[verdict.winner]);
@@ -262,22 +274,19 @@ impl Secure {
     /// The estimate of the winner, its rival merged into it.
     #[inline(always)]
     fn conclude(&self, work: &mut Work, verdict: &mut Verdict) {
-        let Work { sample, information, scratch, trials, posterior, found, .. } = work;
+        let Work { sample, information, scratch, trials, posterior, .. } = work;
         let count = information.count();
         let winner = verdict.winner;
         trials[winner].weigh(sample, information, scratch);
         posterior.conclude(information, &trials[winner].eta[..count]);
-        let Some((rival, weight)) = verdict.rival.filter(|(rival, _)| rival < found) else { return };
+        let Some((rival, weight)) = verdict.rival else { return };
         trials[rival].weigh(sample, information, scratch);
         verdict.apart = posterior.merge(information, &trials[rival].eta[..count], weight);
-        let (low, high) = (winner.min(rival), winner.max(rival));
-        let (before, after) = trials.split_at_mut(high);
-        let (first, second) = (&mut before[low], &mut after[0]);
-        if winner < rival {
-            first.merge(second, weight, sample.arrived.len());
-        } else {
-            second.merge(first, weight, sample.arrived.len());
-        }
+        trials.swap(0, winner);
+        let rival = if rival == 0 { winner } else { rival };
+        verdict.winner = 0;
+        let (first, others) = trials.split_at_mut(1);
+        first[0].merge(&others[rival - 1], weight, sample.arrived.len());
     }
 
     /// One sample.

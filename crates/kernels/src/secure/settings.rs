@@ -32,6 +32,9 @@ pub const FADE: (f64, f64) = (0.02, 0.01);
 /// κ: variance of a wild lie, in units of what the others leave open. The false alarm rate is calibrated for it.
 pub const BROAD: f64 = 15.0;
 
+/// Shares of the broad and of the learned density among wild lies.
+pub const SHARES: (f64, f64) = (0.5, 0.5);
+
 /// Deviation of a learned cluster of lies before there is one, and its least variance, in the same unit.
 pub const CLUSTER: (f64, f64) = (1.5, 0.25);
 
@@ -59,6 +62,35 @@ pub const DOUBT: (u64, f64) = (3, 25.0);
 /// Sweeps at most, and the change of beliefs that ends them.
 pub const SWEEPS: (usize, f64) = (15, 1e-3);
 
+/// A part of the filter that can be left out, to measure what it is worth.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Part {
+    /// Habits: every sensor is as likely to lie at every sample as one that begins.
+    Habits,
+    /// Steady lies: every lie is wild.
+    Steady,
+    /// The use of sensors that lie by a constant.
+    Reuse,
+    /// The start from a robust regression.
+    Regression,
+    /// The doubt of everything once the accused outvote the believed.
+    Doubt,
+    /// The count of votes by direction of the state; heads are still counted.
+    Votes,
+}
+
+impl Part {
+    /// All of them by name.
+    pub const NAMES: [(&'static str, Self); 6] = [
+        ("habits", Self::Habits),
+        ("steady", Self::Steady),
+        ("reuse", Self::Reuse),
+        ("regression", Self::Regression),
+        ("doubt", Self::Doubt),
+        ("votes", Self::Votes),
+    ];
+}
+
 /// What is chosen per plant.
 #[derive(Debug, Clone)]
 pub struct Settings {
@@ -74,6 +106,8 @@ pub struct Settings {
     pub deviations: Vec<f64>,
     /// Share of [`FADE`] that the sensors of the plant make up.
     pub crowd: f64,
+    /// Parts left out.
+    pub without: Vec<Part>,
 }
 
 impl Settings {
@@ -99,7 +133,14 @@ impl Settings {
         channel_sensor.iter().for_each(|&sensor| sizes[sensor] += 1);
         let open = protected.iter().filter(|&&protected| !protected).count();
         let crowd = (open as f64 / CROWD).min(1.0);
-        Ok(Self { onset, steady, protected, sizes, deviations, crowd })
+        Ok(Self { onset, steady, protected, sizes, deviations, crowd, without: Vec::new() })
+    }
+
+    /// Whether a part is in use.
+    #[inline(always)]
+    #[must_use]
+    pub fn has(&self, part: Part) -> bool {
+        !self.without.contains(&part)
     }
 
     /// Probability that a sensor begins to lie in a habit.
@@ -122,7 +163,8 @@ impl Settings {
     #[must_use]
     pub fn fingerprint(&self, hash: Fingerprint) -> Fingerprint {
         let protected: Vec<usize> = self.protected.iter().map(|&p| usize::from(p)).collect();
-        hash.sizes(&protected).floats(&self.onset).floats(&[self.steady])
+        let without: Vec<usize> = self.without.iter().map(|&part| part as usize).collect();
+        hash.sizes(&protected).sizes(&without).floats(&self.onset).floats(&[self.steady])
     }
 }
 

@@ -8,7 +8,7 @@
 use crate::linalg::dot;
 use crate::mixture::information::Information;
 use crate::secure::Work;
-use crate::secure::settings::Settings;
+use crate::secure::settings::{Part, Settings};
 
 /// Rounds of the power method.
 const ROUNDS: usize = 8;
@@ -27,6 +27,9 @@ pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> b
     let accused = (0..sample.arrived.len()).filter(|&index| !labels.believes(index)).count();
     if accused == 0 || accused > settings.most(sample) {
         return accused > 0;
+    }
+    if !settings.has(Part::Votes) {
+        return false;
     }
     information.clear();
     for (_, one) in sample.arrived.iter().enumerate().filter(|(index, _)| labels.believes(*index)) {
