@@ -2,8 +2,9 @@
 
     python run.py [--out FOLDER]
 
-FOLDER (default: out, beside this script) receives attacked.csv, truth.csv, and for each of the methods joint
-and adaptive-joint its estimates and its report, which shows the protected sensors alone beside it.
+FOLDER (default: out, beside this script) receives attacked.csv, truth.csv, and for each of the methods auto,
+joint and adaptive-joint its estimates and its report; those of the last two show the protected sensors alone
+beside it.
 """
 
 import argparse
@@ -22,7 +23,7 @@ PLANT = HERE / "plant.toml"
 SEED, SAMPLES = 2022, 400
 #: weak 1 sends noise of variance 5 from sample 100 to 199, weak 2 is 3 too high from sample 250 on.
 ATTACK = RandomNoise(np.sqrt(5.0), on="weak 1", start=100, stop=200) + Bias(3.0, on="weak 2", start=250)
-METHODS = {"joint": "JointFusion", "adaptive-joint": "AdaptiveJointFilter"}
+METHODS = {"auto": "SecureFilter", "joint": "JointFusion", "adaptive-joint": "AdaptiveJointFilter"}
 
 
 def main() -> int:

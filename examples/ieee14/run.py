@@ -30,7 +30,7 @@ def main() -> int:
     out = _folder()
     attacked = simulate.main(out)
     estimates, report = out / "estimates.parquet", out / "report.html"
-    command = ["estimate", "--plant", PLANT, "--data", attacked, "--method", "sparse"]
+    command = ["estimate", "--plant", PLANT, "--data", attacked]
     code = execute([str(word) for word in [*command, "--out", estimates, "--report", report]])
     if code not in (Exit.CLEAN, Exit.SUSPECTED):
         return code
@@ -54,7 +54,7 @@ def compare(out: Path, secure: pd.DataFrame) -> None:
     truth = np.deg2rad(pd.read_csv(out / "truth.csv").to_numpy())
     ways = {
         "Kalman filter": kalman(plant, out / "attacked.csv"),
-        "SparseFusion": secure[[f"x.{name}" for name in plant.state_names]].to_numpy(),
+        "SecureFilter": secure[[f"x.{name}" for name in plant.state_names]].to_numpy(),
         "Kalman filter without the lie": kalman(plant, out / "clean.csv"),
     }
     print(f"{simulate.LIAR}: falsified by {simulate.SIZE:+g} MW from second {simulate.START} on.")

@@ -10,13 +10,14 @@ each stage: identification.html, resilience.html and report.html.
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import falsify
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from securestate import KalmanFilter, Plant, analyse
+from securestate import KalmanFilter, Plant, SparseFusion, analyse
 from securestate.cli import execute
 from securestate.cli.exits import Exit
 from securestate.measurements import read_measurements
@@ -45,7 +46,7 @@ def main() -> int:
     print(f"wrote {write_resilience(found, out / 'resilience.html', source=plant.name)}")
     print("\n3. Two sensors lie: name them, and estimate without them\n", flush=True)
     attacked, estimates = falsify.main(out / "attacked.csv"), out / "estimates.parquet"
-    order = ["estimate", "--plant", plant, "--data", attacked, "--method", "sparse", "--out", estimates]
+    order = ["estimate", "--plant", plant, "--data", attacked, "--out", estimates]
     code = _command([*order, "--report", out / "report.html"])
     if code not in (Exit.CLEAN, Exit.SUSPECTED):
         return code
@@ -73,25 +74,29 @@ def compare(plant: Plant, attacked: Path, secure: pd.DataFrame) -> None:
     """Say what was done, what was found, and how far each method is from the estimate on the clean record."""
     kalman = KalmanFilter(plant)
     clean = shown(plant, kalman.run(read_measurements(HERE / "data.csv", plant).y).x)
-    fooled = shown(plant, kalman.run(read_measurements(attacked, plant).y).x)
-    fused = shown(plant, secure[[f"x.{name}" for name in plant.state_names]].to_numpy())
+    falsified = read_measurements(attacked, plant).y
+    ways = {
+        "Kalman filter": shown(plant, kalman.run(falsified).x),
+        "SecureFilter": shown(plant, secure[[f"x.{name}" for name in plant.state_names]].to_numpy()),
+        "SparseFusion": shown(plant, SparseFusion(plant).run(falsified).x),
+    }
     print(
         "What was done, and what was found ('off' is the RMS distance from the estimate on the clean record):"
     )
     for lie in falsify.LIES:
         i = plant.channel_names.index(lie.channel)
         lying, unit = lie.added(times(secure)) != 0, plant.units[i]
-        by_kalman, by_fusion = (rms((estimate - clean)[lying, i]) for estimate in (fooled, fused))
+        off = {name: rms((estimate - clean)[lying, i]) for name, estimate in ways.items()}
         print(f"  {plant.sensor_names[i]}: {told(lie, unit)}")
         print(f"    {found(lie, plant, i, secure)}")
-        print(
-            f"    Its value is off by {by_kalman:.2g} {unit} (Kalman filter), {by_fusion:.2g} (SparseFusion)."
-        )
-    worst = [np.max(rms((estimate - clean) / plant.scale)) for estimate in (fooled, fused)]
-    print(
-        f"  All 22 values: the worst is off by {worst[0]:.2g} (Kalman filter), {worst[1]:.2g} (SparseFusion) "
-        "standard deviations\n    of its normal variation."
-    )
+        print(f"    Its value is off by {listed(off)}, in {unit}.")
+    worst = {name: np.max(rms((estimate - clean) / plant.scale)) for name, estimate in ways.items()}
+    print(f"  The worst of all 22 values is off by {listed(worst)}, in its normal variation.")
+
+
+def listed(numbers: dict[str, Any]) -> str:
+    """Return numbers in two digits, each with its name."""
+    return ", ".join(f"{number:.2g} ({name})" for name, number in numbers.items())
 
 
 def shown(plant: Plant, x: Array) -> Array:

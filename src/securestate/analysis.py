@@ -241,7 +241,10 @@ def _recommended(
             "no method can tell who lies where fewer than three sensors see a mode: change the installation "
             "first; until then the Kalman filter trusts them all"
         )
-    if plant.protected.any() and not hidden:
+    protecting = bool(plant.protected.any()) and not hidden
+    if not _noise_is_shared(plant):
+        return "secure", _why_secure(forms[0], protecting=protecting)
+    if protecting:
         return "adaptive-joint", (
             "the protected sensors see every mode that lasts, so that whatever the others send cannot move "
             "the estimate away; they are used as long as they agree"
@@ -250,16 +253,35 @@ def _recommended(
     if robust.margins and robust.margins[0].verdict == "secure" and robust.margins[0].lie is not None:
         return "sparse", (
             f"with rho {robust.margins[0].upper:.3g} no single sensor can move it without bound, if the liar "
-            "stays the same; where the attacked set changes at every instant, innovation-mixture is better"
+            "stays the same; the noise of some sensors is correlated, which secure does not allow"
         )
-    weighs = (
-        "it weighs every reading by how well it agrees with all others, also where the attacked set changes"
+    return "gate", (
+        "the noise of some sensors is correlated, which secure does not allow: make them one sensor with "
+        "several channels, or add their common noise as a state"
     )
+
+
+def _noise_is_shared(plant: Plant) -> bool:
+    """Whether R correlates two sensors."""
+    apart = plant.channel_sensor[:, None] != plant.channel_sensor
+    return bool(np.any(apart & (plant.R != 0)))
+
+
+def _why_secure(robust: FormMargin, *, protecting: bool) -> str:
+    """What speaks for the secure filter, and which method promises more."""
+    finds = "it finds liars that stay the same as well as those that change, and remembers them"
+    if protecting:
+        return (
+            f"{finds}; the protected sensors, which see every mode that lasts, are always believed and judge "
+            "the others, however many lie"
+        )
     if robust.refusal:
-        return "innovation-mixture", f"{weighs}; sparse fusion cannot be designed for this plant"
-    if robust.margins[0].verdict == "secure":
-        return "innovation-mixture", f"{weighs}; where the liars stay the same, sparse is as good"
-    return "innovation-mixture", (
-        "sparse fusion has no guarantee on this plant; this method has none either, but judges sensors by "
-        "more than one sample and says when two explanations fit"
+        return f"{finds}; sparse fusion cannot be designed for this plant"
+    if robust.margins[0].verdict != "secure":
+        return f"{finds}; what it reaches is measured: no method has a guarantee on this plant"
+    if robust.margins[0].lie is None:
+        return f"{finds}; what it reaches is measured, not proved"
+    return (
+        f"{finds}; what it reaches is measured, while sparse has a guarantee: with rho "
+        f"{robust.margins[0].upper:.3g} no single sensor that stays the liar can move it without bound"
     )

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import securestate as ss
+from securestate.estimators import METHODS
 from tests.cli.helpers import Command
 
 SEEN_ONCE = ss.Plant(
@@ -181,3 +182,18 @@ def test_help_tells_what_4_means_here(command: Command) -> None:
     out = " ".join(command("analyse", "--help").out.split())
     assert "4 the plant does not survive that" in out
     assert "securestate analyse plant.toml --attacked 2" in out
+
+
+def test_the_method_that_is_named_can_be_designed_and_is_the_secure_filter_where_that_can() -> None:
+    sensors = [ss.Sensor(name, C=[1.0], R=1.0) for name in "abcd"]
+    guarded = [*sensors[:3], ss.Sensor("d", C=[1.0], R=1.0, protected=True)]
+    shared = np.eye(4)
+    shared[0, 1] = shared[1, 0] = 0.3
+    common = ss.Plant([[1.0]], [[1.0]], [ss.Sensor(name, C=[1.0]) for name in "abcd"], R=shared)
+    plants = [ss.Plant([[1.0]], [[1.0]], owned) for owned in (sensors, guarded)]
+    for plant, method in zip([*plants, common], ["secure", "secure", "sparse"], strict=True):
+        found = ss.analyse(plant)
+        assert found.method == method
+        METHODS[method].design(plant)
+    assert "always believed" in ss.analyse(plants[1]).why
+    assert "which secure does not allow" in ss.analyse(common).why

@@ -260,7 +260,7 @@ def test_inputs_are_held_over_a_gap_only_if_asked_for_and_that_is_said(
         (("--method", "kalman", "--gamma", "1"), "--gamma: expected --method sparse"),
         (
             ("--method", "sparse", "--false-alarm-rate", "0.1"),
-            "--false-alarm-rate: expected --method adaptive-joint, joint, protected, gate, chi-square,",
+            "--false-alarm-rate: expected --method secure, adaptive-joint, joint, protected, gate,",
         ),
         (("--method", "gate", "--window", "5"), "--window: expected --method adaptive-joint or joint"),
         (("--method", "adaptive-joint", "--gate", "0"), "gate: expected a number > 0"),

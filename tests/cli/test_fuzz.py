@@ -39,7 +39,7 @@ def damage(path: Path, data: st.DataObject) -> None:
 
 
 @pytest.mark.parametrize("damaged", ["plant.toml", "data.csv"])
-@pytest.mark.parametrize("method", ["kalman", "sparse"])
+@pytest.mark.parametrize("method", ["kalman", "sparse", "auto"])
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_a_damaged_file_ends_in_a_documented_code_with_a_whole_result_or_none(

@@ -4,6 +4,7 @@ import warnings
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import securestate as ss
@@ -144,3 +145,16 @@ def test_no_warning_is_raised_where_readings_are_missing(tank: Path, command: Co
         warnings.simplefilter("error")
         done = command("judge", "tank.toml", "missing.csv")
     assert (done.code, done.err) == (0, "")
+
+
+@pytest.mark.parametrize("damage", ["1e308", "-1e200"])
+def test_a_reading_too_large_to_be_squared_is_an_error_that_says_where(
+    tank: Path, command: Command, damage: str
+) -> None:
+    frame = pd.read_csv(tank / "fits.csv").astype({"middle": object})
+    frame.loc[7, "middle"] = damage
+    frame.to_csv(tank / "fits.csv", index=False)
+    for words in (("judge", "tank.toml", "fits.csv"), ("identify", "fits.csv", "-o", "learned.toml")):
+        done = command(*words)
+        assert (done.code, done.out) == (2, "")
+        assert "up to 1e+100" in done.err and "at [7, 1]" in done.err

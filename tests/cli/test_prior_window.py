@@ -1,5 +1,6 @@
 """`securestate estimate --prior window`: records that start anywhere, and methods without a steady state."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -59,13 +60,27 @@ def test_a_method_without_a_steady_state_can_start(command: Command, folder: Pat
     assert (end.code, end.err) == (3, "") and "1 of 4 sensors lies: flow 2." in end.out
 
 
-def test_a_start_that_is_not_certified_is_said(command: Command, folder: Path) -> None:
+def test_without_a_window_the_method_of_choice_blames_nobody_for_a_far_start_and_says_what_to_do(
+    command: Command,
+) -> None:
+    end = command(*WINDOW[:-2])
+    said = " ".join(end.out.split())
+    assert end.code == 3 and "1 of 4 sensors lies: flow 2. At times 2 more contradict the plant" in said
+    assert "the record may start far from the operating point; start with a window (--prior window)" in said
+
+
+@pytest.mark.parametrize("method", ["kalman", "auto"])
+def test_a_start_that_is_not_certified_is_said(command: Command, folder: Path, method: str) -> None:
     frame = pd.read_csv(folder / "far.csv").iloc[:6]
     frame[["time", "flow 1"]].to_csv(folder / "far.csv", index=False)
-    end = command(*WINDOW, "--method", "kalman", "--allow-missing", "--report", "report.html")
+    files = ("--report", "report.html", "--findings", "findings.json")
+    end = command(*WINDOW, "--method", method, "--allow-missing", *files)
     assert "This start is NOT certified: no other sensor checks flow 1, whatever it says." in end.out
     assert "ILL_CONDITIONED" in end.out
     assert "This start is NOT certified" in (folder / "report.html").read_text()
+    assert any(
+        "NOT certified" in note for note in json.loads((folder / "findings.json").read_text())["notes"]
+    )
 
 
 def test_a_plant_with_a_mode_that_nobody_sees_is_refused(command: Command, folder: Path) -> None:

@@ -77,7 +77,7 @@ def test_runs_that_share_a_plan_share_what_they_do_not_trust() -> None:
     np.testing.assert_array_equal(np.isnan(alone.trust[:, 0]), np.broadcast_to(ALONE, (20, 5)))
 
 
-@pytest.mark.parametrize("method", ["sparse", "innovation-mixture", "gate"])
+@pytest.mark.parametrize("method", ["secure", "sparse", "innovation-mixture", "gate"])
 def test_a_suspected_sensor_keeps_the_trust_that_the_method_gave(method: str) -> None:
     y, u = with_gaps(1)
     run = METHODS[method].design(marked(plant_of())).run(y[0], u)

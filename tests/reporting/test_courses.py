@@ -71,3 +71,17 @@ def test_an_estimate_that_is_far_off_does_not_count() -> None:
     values[[10, 150]] = 1e6
     found = seen(values)
     assert found.kind is Kind.CONSTANT and found.last == pytest.approx(5, abs=0.3)
+
+
+def test_what_an_estimator_learns_of_a_constant_injection_is_no_growth() -> None:
+    """Averages of more and more readings of 3 with an error of 1: at first off by about 1, later by 0.1."""
+    rng = np.random.default_rng(4)
+    k = np.arange(1, 201)
+    values = np.cumsum(3.0 + rng.standard_normal(200)) / k
+    values[:15] = np.linspace(2.2, 3.0, 15)
+    sizes = {"channel": "flow", "unit": "m", "noise": 1.0, "error": 0.1}
+    assert course(k.astype(float), values, **sizes).kind is Kind.SETTLING
+    known = course(k.astype(float), values, **sizes, early=0.5)
+    assert known.kind is Kind.CONSTANT and known.last == pytest.approx(3.0, abs=0.1)
+    grown = course(k.astype(float), values + 0.02 * k, **sizes, early=0.5)
+    assert grown.kind is Kind.GROWING and grown.slope == pytest.approx(0.02, rel=0.1)

@@ -10,7 +10,10 @@ from securestate.errors import InputError
 from securestate.estimators.base import Status
 from securestate.estimators.run import Run
 from securestate.reporting import find
+from securestate.reporting.clock import Clock
 from securestate.reporting.courses import Kind
+from securestate.reporting.findings import Finding
+from securestate.reporting.telling import remarks, what
 from tests.reporting.made_runs import SHIFT, lie, made_lies, made_run, with_silence
 
 RATE = 1e-3
@@ -217,6 +220,42 @@ def test_one_sample_is_enough() -> None:
 def test_methods_in_which_protected_sensors_judge_may_blame_a_majority() -> None:
     run = replace(made_lies({i: lie(50, 300) for i in range(4)}), estimator="JointFusion")
     assert len(find(run).found) == 4 and all(f.lies for f in find(run).found)
+
+
+def test_with_a_protected_sensor_all_others_may_be_blamed_by_the_secure_filter() -> None:
+    run = replace(made_lies({i: lie(50, 300) for i in range(4)}), estimator="SecureFilter")
+    assert run.plant.protected.tolist() == [False] * 4 + [True]
+    assert len(find(run).found) == 4 and all(f.lies for f in find(run).found)
+
+
+def test_a_method_that_remembers_blames_for_what_stands_out_or_lasts() -> None:
+    """An injection of 3 errors, each of 0.5 kPa, as one that an honest sensor may be taken to have."""
+
+    def found(stop: int, size: float, estimator: str = "SecureFilter") -> Finding:
+        made = made_lies({1: lie(100, stop)}, rate=RATE)
+        attack = np.where(made.suspected, size * 0.5, made.attack)
+        (one,) = find(replace(made, attack=attack, estimator=estimator)).found
+        return one
+
+    faint = found(160, 3.0)
+    assert (faint.verdict, faint.persistent, faint.lies, faint.suspected) == ("faint", True, False, 60)
+    assert "raised 60 alarms" in what(faint, Clock.of(made_lies({})))
+    assert "too faint to say that it lies" in what(faint, Clock.of(made_lies({})))
+    assert "by chance" not in what(faint, Clock.of(made_lies({})))
+    assert found(160, 7.0).verdict == found(300, 3.0).verdict == "lied"
+    assert found(160, 3.0, "InnovationGate").verdict == "lied"
+
+
+def test_what_a_filter_with_a_memory_makes_of_a_far_start_blames_nobody() -> None:
+    run = replace(made_lies({1: lie(0, 50)}, rate=RATE), estimator="SecureFilter")
+    findings = find(run)
+    assert findings.found == () and findings.alarms.at_start == (("XMEAS 2", 50),)
+    assert "for a while XMEAS 2 was suspected, as may happen" in next(remarks(findings.alarms))
+    assert "--prior window" in next(remarks(findings.alarms))
+    started = replace(run, status=np.where(np.arange(400) < 4, Status.COLD_START, 0).astype(np.uint8))
+    assert find(started).found[0].lies and find(replace(run, estimator="InnovationGate")).found[0].lies
+    lasting = replace(made_lies({1: lie(0, 300)}, rate=RATE), estimator="SecureFilter")
+    assert find(lasting).found[0].lies
 
 
 def test_the_rate_of_a_test_of_all_sensors_at_once_is_no_rate_of_one() -> None:

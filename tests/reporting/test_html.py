@@ -17,7 +17,7 @@ from securestate.reporting import write_report
 from securestate.reporting.blocks import channel_labels, normalised_innovation
 from securestate.reporting.html import render
 from securestate.reporting.payload import Block, unpack
-from tests.reporting.made_runs import lie, made_lies, made_run, unchecked, with_silence
+from tests.reporting.made_runs import SHIFT, lie, made_lies, made_run, unchecked, with_silence
 
 NASTY = [
     "</script><script>alert(1)</script>",
@@ -199,6 +199,18 @@ def test_names_from_files_are_text_never_markup() -> None:
     assert all(not key.startswith("on") for _, attributes in nasty.elements for key in attributes)
     assert all(name in "".join(nasty.text) for name in NASTY)
     assert [s["name"] for s in manifest_of(render(made_run(names=NASTY)))["sensors"]] == NASTY
+
+
+def test_the_names_of_sensors_that_are_not_blamed_are_not_red(tmp_path: Path) -> None:
+    made = made_lies({1: lie(100, 160), 2: lie(50, 400)}, rate=1e-3)
+    attack = np.where(made.suspected, [0, 1.5, SHIFT, 0, 0], 0.0)
+    html = write_report(
+        replace(made, attack=attack, estimator="SecureFilter"), tmp_path / "r.html"
+    ).read_text()
+    assert (
+        "<li><b>XMEAS 3</b> lies" in html and '<li><b class="unblamed">XMEAS 2</b> raised 60 alarms' in html
+    )
+    assert "faint alarms" in html and ".findings b:not(.unblamed)" in html
 
 
 def test_nothing_is_loaded_from_anywhere() -> None:

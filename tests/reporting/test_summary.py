@@ -7,7 +7,7 @@ from securestate import Plant, Sensor
 from securestate.errors import InputError
 from securestate.estimators.run import Run
 from securestate.reporting import summarise
-from tests.reporting.made_runs import SHIFT, made_run, unchecked, with_silence
+from tests.reporting.made_runs import SHIFT, lie, made_lies, made_run, unchecked, with_silence
 
 
 def flagged(samples: list[int], length: int = 200) -> Run:
@@ -168,3 +168,11 @@ def test_alarms_of_a_sensor_that_cannot_be_checked_count_like_those_of_any_other
     for samples in ([50], list(range(50, 200, 3)), list(range(50, 60))):
         plain = summarise(flagged(samples)).sensors[0]
         assert replace(summarise(unchecked(flagged(samples), (0,))).sensors[0], uncheckable=False) == plain
+
+
+def test_faint_alarms_are_no_lie_and_are_told() -> None:
+    made = made_lies({1: lie(100, 160)}, rate=1e-3)
+    run = replace(made, attack=np.where(made.suspected, 1.5, 0.0), estimator="SecureFilter")
+    summary = summarise(run)
+    assert summary.liars == ()
+    assert summary.verdict == "No sensor lies persistently; there are faint alarms of XMEAS 2."

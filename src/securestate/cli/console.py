@@ -178,7 +178,8 @@ def _verdict(sensor: SensorSummary, findings: Sequence[Finding]) -> str:
             return "contradicts"
         return "LIES" if any(f.ongoing for f in blamed) else "LIED"
     if sensor.first_alarm:
-        return "brief alarms" if findings else "isolated alarms"
+        faint = any(f.verdict == "faint" for f in findings)
+        return "faint alarms" if faint else "brief alarms" if findings else "isolated alarms"
     return "cannot be checked" if sensor.uncheckable else "-"
 
 

@@ -206,5 +206,5 @@ def _write(run: Run, beside: Run | None, said: list[str], order: Order) -> list[
     if order.report is not None:
         written.append(write_report(run, order.report, source=source, notes=said, beside=beside))
     if order.findings is not None:
-        written.append(write_findings(run, order.findings, source=source))
+        written.append(write_findings(run, order.findings, source=source, notes=said))
     return written

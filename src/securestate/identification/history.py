@@ -18,6 +18,9 @@ Array = NDArray[np.float64]
 #: Missing inputs in a row that keep the last known value.
 HELD = 3
 
+#: Larger readings are damage, and their squares would overflow.
+HUGE = 1e100
+
 
 @final
 @dataclass(frozen=True, eq=False)
@@ -178,11 +181,10 @@ def _numbers(argument: str, value: Any, width: int) -> Array:
         raise InputError(argument, "an array of real numbers", str(reason)) from None
     if numbers.ndim != 2 or numbers.shape[1] != width:
         raise ShapeError(argument, f"shape (N, {width})", f"shape {numbers.shape}")
-    if np.isinf(numbers).any():
-        row, column = np.argwhere(np.isinf(numbers))[0]
-        raise MeasurementError(
-            argument, "finite numbers, NaN where missing", f"{numbers[row, column]} at [{row}, {column}]"
-        )
+    if np.any(np.abs(numbers) > HUGE):
+        row, column = np.argwhere(np.abs(numbers) > HUGE)[0]
+        expected = f"finite numbers up to {HUGE:g}, NaN where missing"
+        raise MeasurementError(argument, expected, f"{numbers[row, column]} at [{row}, {column}]")
     return numbers
 
 

@@ -1,20 +1,32 @@
-"""Whether chance explains a brief episode: by the stated rate, and by the way the alarms of a run cluster."""
+"""Whether chance explains an episode: by the stated rate, by the way alarms cluster, by what is injected."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import stats
 
-from securestate.reporting.episodes import Episode
+from securestate.estimators.base import Status
+from securestate.reporting.episodes import WINDOW, Episode
+
+if TYPE_CHECKING:
+    from securestate.estimators.run import Run
 
 RARE = 0.01
 """A brief episode is told if honest sensors would give fewer than so many in the whole run."""
 
 CHAINED, ALARMS = 1, 4
 """Before any is seen: of ALARMS alarms of an honest sensor so many are taken to follow another one."""
+
+REMEMBERING = ("SecureFilter",)
+"""Estimators that go on suspecting whom they suspected, so that many suspected samples may rest on few."""
+
+LONG = 10 * WINDOW
+"""So many samples in a row no honest sensor is suspected by its own past alone."""
 
 
 @dataclass(frozen=True)
@@ -65,3 +77,28 @@ class Chance:
         others = int(self.episodes.sum() - self.episodes[sensor])
         again = (alarms - others + CHAINED) / (alarms + ALARMS)
         return float((others + 1) * again ** (episode.suspected - 1)) >= RARE
+
+
+def faint(run: Run, sensor: int, episode: Episode) -> bool:
+    """Whether a persistent episode may be one error that an estimator remembered.
+
+    It may if it is not LONG, and what the sensor injects never is further from zero, in units of
+    `Run.attack_std`, than RARE such records of honest sensors show anywhere: with one trial for every reading
+    and for every one of the WINDOW samples before it at which the lie may have begun.
+    """
+    if run.estimator not in REMEMBERING or not episode.persistent or episode.sent >= LONG:
+        return False
+    own, rows = run.plant.channels_of(sensor), slice(episode.start, episode.stop + 1)
+    injected, error = np.abs(run.attack[rows, own]), run.attack_std[rows, own]
+    known = run.suspected[rows, sensor][:, None] & np.isfinite(injected) & (error > 0)
+    limit = stats.norm.isf(RARE / (2 * WINDOW * run.innovation.size))
+    return bool(known.any()) and bool(np.max(injected[known] / error[known]) < limit)
+
+
+def carried_over(run: Run, episode: Episode, start: int) -> bool:
+    """Whether an episode may be left of a start away from the true state, that an estimator remembered.
+
+    It may if it begins within `start` samples, is not LONG, and no cold start preceded it.
+    """
+    begun = run.estimator in REMEMBERING and run.status[0] != Status.COLD_START
+    return begun and episode.start < start and episode.sent < LONG

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from securestate.reporting.blocks import channel_noise
+from securestate.reporting.chance import REMEMBERING
 from securestate.reporting.episodes import Episode
 
 if TYPE_CHECKING:
@@ -53,7 +54,8 @@ class Course:
         first: the injection at the beginning.
         last: the injection at the end.
         size: its typical absolute value: of `last`, or the root mean square if it is erratic.
-        spread: standard deviation of single estimates about the course, from the median absolute deviation.
+        spread: standard deviation of single estimates about the course, from the median absolute deviation;
+            at least `error` if the estimator remembers, so that they scatter less than they err.
         slope: change per sample, 0 if it is level throughout.
         settled: sample from which a settling one is level.
         noise: standard deviation of the channel's measurement noise.
@@ -90,6 +92,7 @@ class Course:
 
 def courses(run: Run, sensor: int, episode: Episode) -> tuple[Course, ...]:
     """The courses of all channels of a sensor in an episode."""
+    remembered = run.estimator in REMEMBERING
     rows = np.arange(episode.start, episode.stop + 1)
     rows = rows[run.suspected[rows, sensor]]
     noise = channel_noise(run.plant)
@@ -98,21 +101,26 @@ def courses(run: Run, sensor: int, episode: Episode) -> tuple[Course, ...]:
         estimate, error = run.attack[rows, c], run.attack_std[rows, c]
         known = np.isfinite(estimate)
         stated = error[known & np.isfinite(error)]
-        found.append(
-            course(
-                rows[known].astype(np.float64),
-                estimate[known],
-                channel=run.plant.channel_names[c],
-                unit=run.plant.units[c],
-                noise=float(noise[c]),
-                error=float(np.median(stated)) if stated.size else float(noise[c]),
-            )
+        one = course(
+            rows[known].astype(np.float64),
+            estimate[known],
+            channel=run.plant.channel_names[c],
+            unit=run.plant.units[c],
+            noise=float(noise[c]),
+            error=float(np.median(stated)) if stated.size else float(noise[c]),
+            early=float(np.median(stated[:PART])) if remembered and stated.size else 0.0,
         )
+        found.append(replace(one, spread=max(one.spread, one.error)) if remembered and one.known else one)
     return tuple(found)
 
 
-def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, error: float) -> Course:
+def course(
+    t: Float, values: Float, *, channel: str, unit: str, noise: float, error: float, early: float = 0.0
+) -> Course:
     """The course of single estimates `values` at samples `t`, both (k,) and finite.
+
+    `early` is the error of the first estimates, if later ones follow from them: what the estimator learns is
+    no change of the injection.
 
     Examples:
         >>> t = np.arange(100.0)
@@ -123,7 +131,7 @@ def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, er
     if not values.size:
         nan = math.nan
         return Course(channel, unit, Kind.UNKNOWN, nan, nan, nan, nan, 0.0, None, noise, error)
-    slope, knee, fitted = _fitted(t, values)
+    slope, knee, fitted = _fitted(t, values, early)
     spread = _scatter(values - fitted)
     first, last = float(fitted[0]), float(fitted[-1])
     size = max(abs(first), abs(last))
@@ -139,11 +147,12 @@ def course(t: Float, values: Float, *, channel: str, unit: str, noise: float, er
     return Course(channel, unit, kind, first, last, size, spread, slope, settled, noise, error)
 
 
-def _fitted(t: Float, values: Float) -> tuple[float, float | None, Float]:
+def _fitted(t: Float, values: Float, early: float) -> tuple[float, float | None, Float]:
     """Slope, sample at which it ends (None: it does not), and values of the simplest course that fits."""
     level = np.full(values.size, np.median(values))
     if values.size < 2 * PART:
-        return _line_of_few(t, values, level)
+        found = _line_of_few(t, values, level)
+        return found if _changes(found[2], early) else (0.0, None, level)
     where, points = _points(t), _points(values)
     best: tuple[float, float | None, Float] = (0.0, None, level)
     least = _rms(points - np.median(points))
@@ -153,9 +162,13 @@ def _fitted(t: Float, values: Float) -> tuple[float, float | None, Float]:
         base, slope = _straight(_bent(where, knee), points)
         left = _rms(points - base - slope * _bent(where, knee))
         fitted = base + slope * _bent(t, knee)
-        if left < BETTER * least and abs(fitted[-1] - fitted[0]) > SLOPE * _scatter(values - fitted):
+        if left < BETTER * least and _changes(fitted, max(early, _scatter(values - fitted))):
             best, least = (slope, knee, fitted), left if knee is None else left / BETTER
     return best
+
+
+def _changes(fitted: Float, error: float) -> bool:
+    return bool(abs(fitted[-1] - fitted[0]) > SLOPE * error)
 
 
 def _line_of_few(t: Float, values: Float, level: Float) -> tuple[float, float | None, Float]:

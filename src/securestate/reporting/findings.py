@@ -12,7 +12,7 @@ from scipy import stats
 
 from securestate.errors import InputError
 from securestate.estimators.base import Status
-from securestate.reporting.chance import Chance
+from securestate.reporting.chance import Chance, carried_over, faint
 from securestate.reporting.clock import Moment
 from securestate.reporting.courses import Course, courses
 from securestate.reporting.episodes import Episode, episodes, silent
@@ -23,7 +23,10 @@ if TYPE_CHECKING:
 
 Bool = NDArray[np.bool_]
 
-BY_PROTECTED = ("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman", "JointFusion", "ProtectedKalman")
+BY_PROTECTED = (
+    *("AdaptiveJointFilter", "AdaptiveKalman", "AugmentedKalman"),
+    *("JointFusion", "ProtectedKalman", "SecureFilter"),
+)
 """Estimators in which protected sensors judge the others, so that a majority of these may lie."""
 
 START = 10
@@ -49,6 +52,8 @@ class Finding:
             Otherwise it is a brief episode, of more alarms than chance explains.
         together: most of the time at least half of all sensors were suspected at once, so that none of them
             can be blamed.
+        faint: what it injects stands out of its error no more than honest sensors do now and then, so that it
+            cannot be blamed although it was suspected for long (`chance.faint`).
         suspected: how many samples were suspected.
         sent: how many arrived from `since` to `until`.
         expected: how many of these would be suspected by chance; None if the method states no rate.
@@ -62,6 +67,7 @@ class Finding:
     ongoing: bool
     persistent: bool
     together: bool
+    faint: bool
     suspected: int
     sent: int
     expected: float | None
@@ -71,13 +77,15 @@ class Finding:
     @property
     def lies(self) -> bool:
         """Whether this sensor can be blamed."""
-        return self.persistent and not self.together
+        return self.persistent and not self.together and not self.faint
 
     @property
     def verdict(self) -> str:
-        """One word: "lies", until the end, or "lied"; "contradicts" without blame; "brief"."""
+        """One word: "lies", until the end, or "lied"; "contradicts" or "faint" without blame; "brief"."""
         if not self.persistent:
             return "brief"
+        if self.faint and not self.together:
+            return "faint"
         return "contradicts" if self.together else "lies" if self.ongoing else "lied"
 
     @property
@@ -164,7 +172,10 @@ def find(run: Run) -> Findings:
     together, chance = _together(run, sent, each), Chance.of(each, len(names), int(quiet.sum()), rate)
     found, alone, early = [], np.zeros(len(names), dtype=int), np.zeros(len(names), dtype=int)
     for k, (i, episode) in enumerate(each):
-        if episode.suspected > 1 and episode.stop < settled < len(run.x) and not episode.until_end:
+        ends = episode.stop < settled < len(run.x) or (
+            k not in together and carried_over(run, episode, START)
+        )
+        if episode.suspected > 1 and ends and not episode.until_end:
             early[i] += episode.suspected
         elif episode.persistent or not (k in together or chance.explains(i, episode)):
             found.append(_finding(run, i, episode, sent[:, i], rate, together=k in together))
@@ -204,10 +215,10 @@ def stated_rate(run: Run) -> float | None:
 def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> set[int]:
     """Which episodes fall into times at which too many sensors are suspected to blame them.
 
-    Persistent episodes first; sensors that are to blame do not count when brief ones are judged.
+    Persistent episodes first; sensors that are to blame do not count when brief ones are judged. Where
+    protected sensors judge, too many are suspected only while a filter that started at a wrong state settles.
     """
-    if run.estimator in BY_PROTECTED and run.plant.protected.any():
-        return set()
+    judged = run.estimator in BY_PROTECTED and run.plant.protected.any()
     found: set[int] = set()
     suspected, heard = run.suspected.copy(), sent.copy()
     for persistent, least in ((True, 1), (False, MANY)):
@@ -216,6 +227,8 @@ def _together(run: Run, sent: Bool, each: Sequence[tuple[int, Episode]]) -> set[
         for k, (i, episode) in enumerate(each):
             rows = slice(episode.start, episode.stop + 1)
             if episode.persistent is not persistent:
+                continue
+            if judged and (episode.start >= START or episode.until_end):
                 continue
             if 2 * np.sum(crowded[rows] & run.suspected[rows, i]) > episode.suspected:
                 found.add(k)
@@ -242,6 +255,7 @@ def _finding(
         ongoing=episode.until_end,
         persistent=episode.persistent,
         together=together,
+        faint=faint(run, i, episode),
         suspected=episode.suspected,
         sent=episode.sent,
         expected=None if rate is None else rate * episode.sent,
@@ -251,7 +265,14 @@ def _finding(
 
 
 def _rank(f: Finding) -> tuple[bool, bool, bool, float, float, int]:
-    return f.together, not f.persistent, not f.clear, -round(f.certainty, 1), -f.size, f.since.index
+    return (
+        f.together,
+        not f.persistent or f.faint,
+        not f.clear,
+        -round(f.certainty, 1),
+        -f.size,
+        f.since.index,
+    )
 
 
 def _crowds(run: Run, crowd: Sequence[tuple[int, Episode]]) -> tuple[Crowd, ...]:

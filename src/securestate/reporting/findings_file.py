@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -23,7 +24,11 @@ if TYPE_CHECKING:
 
 
 def write_findings(
-    run: Run, path: str | os.PathLike[str], *, source: str | os.PathLike[str] | None = None
+    run: Run,
+    path: str | os.PathLike[str],
+    *,
+    source: str | os.PathLike[str] | None = None,
+    notes: Sequence[str] = (),
 ) -> Path:
     """Write the findings of one run as JSON; an existing file is replaced when the new one is complete.
 
@@ -34,11 +39,13 @@ def write_findings(
     - "together": stretches in which at least half of the sensors were suspected at once.
     - "alarms": those that are no finding.
     - "periods": samples with a status other than OK.
+    - "notes": what else there is to say, such as how a cold start went.
 
     Args:
         run: one run, x of shape (T, n).
         path: where to write.
         source: where the measurements came from, kept as given.
+        notes: sentences, kept as given.
     Returns:
         The path written.
     Raises:
@@ -61,6 +68,7 @@ def write_findings(
         "together": [_crowd(c, clock) for c in findings.crowds],
         "alarms": alarms,
         "periods": [_period(p, clock) for p in findings.periods],
+        "notes": list(notes),
     }
     text = json.dumps(_known(content), ensure_ascii=False, allow_nan=False, indent=1)
     return write_page(f"{text}\n", path)

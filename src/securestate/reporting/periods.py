@@ -24,8 +24,9 @@ _MEANING = {
         "time before somebody has looked at the sensors"
     ),
     Status.MAJORITY_SUSPECT: (
-        "more than half of the sensors were suspected, so those that were believed may be the liars; look "
-        "for a change of the plant that the model does not know before you blame a sensor"
+        "more sensors were suspected than believed, of all or of those that see some part of the state, so "
+        "that the believed ones may be the liars; look for a change of the plant that the model does not "
+        "know before you blame a sensor"
     ),
     Status.COLD_START: (
         "no prior was given, so these samples were estimated together, each with the help of later ones; "

@@ -68,7 +68,8 @@ def _kind(s: SensorSummary) -> str:
 
 def _sentence(f: Finding, clock: Clock) -> str:
     """A finding, with its time as a link that shows it in the charts."""
-    return f"<b>{escape(f.sensor)}</b> {linked(escape(what(f, clock)), f.since, clock)}"
+    mark = "<b>" if f.lies else '<b class="unblamed">'
+    return f"{mark}{escape(f.sensor)}</b> {linked(escape(what(f, clock)), f.since, clock)}"
 
 
 def _table(found: Sequence[tuple[SensorSummary, Finding]], clock: Clock) -> str:
@@ -77,7 +78,7 @@ def _table(found: Sequence[tuple[SensorSummary, Finding]], clock: Clock) -> str:
     used = [k for k in range(len(HEAD)) if any(cells[k] for cells in rows)]
     head = [HEAD[k] for k in used]
     shown = [
-        row(head, [cells[k] for k in used], "liar" if f.persistent else "")
+        row(head, [cells[k] for k in used], "liar" if f.persistent and not f.faint else "")
         for cells, (_, f) in zip(rows, found, strict=True)
     ]
     return table(head, shown) if shown else ""
@@ -108,10 +109,10 @@ def _name(s: SensorSummary) -> str:
 
 
 def _cells(s: SensorSummary, f: Finding, clock: Clock) -> tuple[str, ...]:
-    chance = "" if f.expected is None else f" ({rounded(f.expected)} by chance)"
+    chance = "" if f.expected is None or f.faint else f" ({rounded(f.expected)} by chance)"
     return (
         _name(s),
-        _verdict("brief alarms" if f.verdict == "brief" else f.verdict),
+        _verdict(f"{f.verdict} alarms" if f.verdict in ("brief", "faint") else f.verdict),
         moment(f.since, clock),
         "the end" if f.ongoing else moment(f.until, clock),
         "<br>".join(_named(f, c, typical(c).removeprefix("erratic, ")) for c in f.courses if c.known),

@@ -37,8 +37,9 @@ class SensorSummary:
     """One sensor over a whole run. Shares are of all samples of the run, in [0, 1].
 
     `lies` tells a sensor that was suspected persistently from one with brief or isolated alarms: at least
-    half of some 20 samples in a row (of those it sent) were suspected. `since` is where the first such
-    stretch begins. `blamed`: it lies, and not only while at least half of all sensors were suspected at once.
+    half of some 20 samples in a row (of those it sent) were suspected, and not faintly. `since` is where the
+    first such stretch begins. `blamed`: it lies, and not only while at least half of all sensors were
+    suspected at once.
     `uncheckable`: it may lie and no other sensor can vouch for it, so that no alarm is no evidence.
     """
 
@@ -116,7 +117,9 @@ class Summary:
             return f"{named} At times {others} more contradict the plant together." if others else named
         if any(s.first_alarm for s in self.sensors):
             brief = tuple(dict.fromkeys(mark(f.sensor) for f in self.findings.found))
-            whose = f"brief alarms of {enumerate_names(brief)}" if brief else "isolated alarms"
+            kinds = {f.verdict for f in self.findings.found}
+            kind = " or ".join(word for word in ("brief", "faint") if word in kinds)
+            whose = f"{kind} alarms of {enumerate_names(brief)}" if brief else "isolated alarms"
             return f"No sensor lies persistently; there are {whose}."
         if self.estimator == "KalmanFilter":
             return "KalmanFilter trusts every sensor: it does not look for liars."
@@ -145,7 +148,7 @@ def summarise(run: Run) -> Summary:
 
 def _sensor(run: Run, findings: Findings, i: int) -> SensorSummary:
     suspected, name = run.suspected[:, i], run.plant.sensor_names[i]
-    lies = [f for f in findings.of(name) if f.persistent]
+    lies = [f for f in findings.of(name) if f.verdict not in ("brief", "faint")]
     first = _first(suspected)
     return SensorSummary(
         name=name,

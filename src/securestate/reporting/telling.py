@@ -33,7 +33,7 @@ def what(finding: Finding, clock: Clock) -> str:
     if finding.lies:
         return f"{finding.verdict} {when(finding, clock)}: {details}."
     alarms = f"raised {count(finding.suspected, 'alarm')} {when(finding, clock)}"
-    few = "too many others did" if finding.together else "too few"
+    few = "too many others did" if finding.together else "too faint" if finding.faint else "too few"
     return f"{alarms}, {few} to say that it lies: {details}."
 
 
@@ -106,7 +106,8 @@ def plain_signs(text: str) -> str:
 def sureness(finding: Finding) -> str:
     """In how many samples it was suspected, against how many by chance, and how far it was trusted."""
     trust = "" if math.isnan(finding.trust) else f", mean trust {finding.trust:.2f}"
-    chance = "" if finding.expected is None else f", {rounded(finding.expected)} by chance"
+    told = finding.expected is not None and not finding.faint  # faint ones follow from each other
+    chance = f", {rounded(finding.expected or 0.0)} by chance" if told else ""
     return f"suspected in {finding.suspected:,} of {count(finding.sent, 'sample')}{chance}{trust}"
 
 
@@ -131,8 +132,11 @@ def remarks(alarms: Alarms) -> Iterator[str]:
     if alarms.at_start:
         names = enumerate_names(tuple(name for name, _ in alarms.at_start))
         were = "was" if len(alarms.at_start) == 1 else "were"
-        where = f"At the start, before sample {alarms.settled},"
-        yield f"{where} {names} {were} suspected, as may happen while a filter settles."
+        if max(number for _, number in alarms.at_start) <= alarms.settled:
+            where, advice = f"At the start, before sample {alarms.settled},", ""
+        else:
+            where, advice = "From the start on and for a while", "; a window avoids it (--prior window)"
+        yield f"{where} {names} {were} suspected, as may happen while a filter settles{advice}."
     if alarms.count:
         yield _isolated(alarms)
     for name, number in alarms.frequent:

@@ -205,6 +205,13 @@ impl Labels {
         (0..arrived).all(|index| self.believes(index) == other.believes(index))
     }
 
+    /// Believe or do not: whoever is not believed lies wildly.
+    pub fn round(&mut self, arrived: usize) {
+        for belief in &mut self.belief[..arrived] {
+            *belief = if belief[0] > 0.5 { [1.0, 0.0, 0.0, 0.0] } else { [0.0, 0.0, 0.0, 1.0] };
+        }
+    }
+
     /// Take in another labelling with the given weight.
     pub fn merge(&mut self, other: &Self, weight: f64, arrived: usize) {
         for (mine, theirs) in self.belief[..arrived].iter_mut().zip(&other.belief) {

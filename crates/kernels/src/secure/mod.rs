@@ -94,6 +94,7 @@ struct Work {
     found: usize,
     /// The labelling before everything was doubted, and what was remembered.
     kept: Labels,
+    plea: Labels,
     remembered: Memory,
     inflated: Ud,
     posterior: Posterior,
@@ -153,7 +154,8 @@ impl Secure {
             regression: Regression::new(sensors, m),
             trials: vec![labels.clone(); STARTS],
             found: 0,
-            kept: labels,
+            kept: labels.clone(),
+            plea: labels,
             remembered: memory.clone(),
             inflated: prior.clone(),
             posterior: Posterior::new(self.arithmetic, &self.model),
@@ -219,7 +221,7 @@ impl Secure {
                 *found += 1;
             }
         }
-        if work.found > 1 {
+        if work.found > 1 || doubted {
             let Work { sample, prior, information, scratch, trials, eta, found, .. } = work;
             let eta = &mut eta[..information.count()];
             for trial in &mut trials[..*found] {
@@ -242,8 +244,8 @@ impl Secure {
         Verdict { winner, rival, apart: 0.0, outvoted: votes::outvoted(work, &self.settings, winner) }
     }
 
-    /// More were accused than believed for some time: the prediction or what is remembered is wrong. Try without either;
-    /// if that accuses fewer, it stays.
+    /// More were accused than believed for some time: the prediction or what is remembered may be wrong. Explain the
+    /// sample without either. What explains it better than the labelling in doubt would, on the same terms, stays.
     #[inline(always)]
     fn doubt(&self, work: &mut Work, memory: &mut Memory, prior: &Ud, verdict: Verdict) -> Verdict {
         let settings = &self.settings;
@@ -261,7 +263,9 @@ impl Secure {
         work.inflated = inflated;
         self.explain(work, true);
         let fresh = self.choose(work);
-        if !fresh.outvoted {
+        let plea = self.plead(work);
+        let found = &work.trials[fresh.winner];
+        if found.evidence > plea && !found.agrees(&work.kept, work.sample.arrived.len()) {
             return Verdict { rival: None, ..fresh };
         }
         memory.copy_from(&mut work.remembered);
@@ -269,6 +273,17 @@ impl Secure {
         work.trials[0].copy_from(&work.kept);
         work.found = 1;
         Verdict { winner: 0, rival: None, ..verdict }
+    }
+
+    /// Evidence of the labelling in doubt without what is remembered: whoever it accuses lies wildly.
+    #[inline(always)]
+    fn plead(&self, work: &mut Work) -> f64 {
+        let Work { sample, prior, information, scratch, plea, kept, eta, .. } = work;
+        plea.copy_from(kept);
+        plea.round(sample.arrived.len());
+        let eta = &mut eta[..information.count()];
+        plea.weigh_evidence((sample, prior), &self.settings, information, scratch, eta);
+        plea.evidence
     }
 
     /// The estimate of the winner, its rival merged into it.
