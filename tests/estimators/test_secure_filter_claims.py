@@ -190,7 +190,7 @@ def test_its_error_is_no_worse_than_that_of_an_independent_program(case: dict[st
 # ---------------------------------------------------------------- no prior
 
 
-@pytest.mark.parametrize("size", [(20, 20, 6), (20, 40, 12)], ids=str)
+@pytest.mark.parametrize("size", [(20, 20, 6), (20, 40, 12), (50, 50, 15)], ids=str)
 def test_without_a_prior_fixed_liars_are_known_from_the_first_sample(size: tuple[int, int, int]) -> None:
     ratios = []
     for seed in range(5):
@@ -204,7 +204,7 @@ def test_without_a_prior_fixed_liars_are_known_from_the_first_sample(size: tuple
         best = OracleFilter(one.plant).run(one.y, prior=vague, attacked=one.liars)
         error, least = (((each.x - one.x[:-1])[tau:] ** 2).mean() for each in (run, best))
         ratios.append(error / least)
-    assert np.median(ratios) < 1.2, ratios
+    assert np.median(ratios) < 1.2 and max(ratios) < 1.5, ratios
 
 
 def test_a_start_that_is_not_certified_warns_and_says_so() -> None:
