@@ -24,9 +24,9 @@ Float = NDArray[np.float64]
 #: Variance of a wild lie, in units of what the other sensors leave open; the kernel's `BROAD`.
 BROAD = 15.0
 
-#: A single sample accuses a sensor that was honest from this many times its chi-square quantile on. The factor
-#: leaves room for what memory and learned lies add to the rate of false accusations.
-MARGIN = 1.5
+#: A single sample accuses a sensor that was honest from its chi-square quantile on, plus this share of that of
+#: one channel: room for what memory and learned lies add to the rate of false accusations.
+MARGIN = 0.3
 
 #: A filter that may suspect everybody says nothing.
 HIGHEST_RATE = 0.1
@@ -127,11 +127,11 @@ def kernel(
 def onset_probability(channels: NDArray[np.intp], false_alarm_rate: float) -> Float:
     """Probability per sample that a sensor with so many channels begins to lie.
 
-    The one for which a single sample is as likely a lie as not where rho' V^-1 rho reaches `MARGIN` times the
-    chi-square quantile of `false_alarm_rate`, if a lie multiplies V by 1 + `BROAD`. So broad a density says
-    little of many channels at once: they get no more than one channel.
+    The one for which a single sample is as likely a lie as not where rho' V^-1 rho reaches the chi-square
+    quantile of `false_alarm_rate` and the `MARGIN`, if a lie multiplies V by 1 + `BROAD`. So broad a density
+    says little of many channels at once: they get no more than one channel.
     """
     m = np.append(1.0, np.asarray(channels, dtype=np.float64))
-    threshold = MARGIN * special.chdtri(m, false_alarm_rate)
+    threshold = special.chdtri(m, false_alarm_rate) + MARGIN * special.chdtri(1, false_alarm_rate)
     odds = 0.5 * m * np.log1p(BROAD) - 0.5 * threshold * BROAD / (1 + BROAD)
     return np.ascontiguousarray(special.expit(np.minimum(odds[1:], odds[0])))

@@ -5,7 +5,7 @@
 //! ```
 //!
 //! A sensor that lies by N(b, c I) then sends independent z_a ~ N((Qᵀ b)_a, v_a + c). With beliefs γ_j, injections b_j
-//! and noise 1 + c_j, the Gaussian site that gives the mixture its mean and covariance is
+//! and noise 1 + c_j, the Gaussian site that gives the mixture its mean, and its covariance as far as a site can (it never widens the cavity: t, M ≥ 0), is
 //!
 //! ```text
 //!     g_j = (z − Qᵀ b_j) / (v + c_j),   ḡ = Σ γ_j g_j
@@ -15,7 +15,7 @@
 //!
 //! No h is inverted: a sensor may measure the same thing twice, or something that is known.
 
-use crate::linalg::dot;
+use crate::linalg::{axpy, dot};
 use crate::mixture::block::solve;
 
 /// Sweeps of Jacobi's rotations: quadratic convergence, and the matrices are small.
@@ -171,15 +171,17 @@ impl Cavity {
                 (0..m).map(|b| 0.5 * (right[a * m + b] + right[b * m + a]) * self.vector[b]).sum();
             self.pulls[a] += self.pull[a];
         }
+        for c in 0..m {
+            let row = &mut self.system[c * m..(c + 1) * m];
+            row.fill(0.0);
+            for d in 0..m {
+                let site = 0.5 * (right[c * m + d] + right[d * m + c]);
+                axpy(site, &turn[d * m..(d + 1) * m], row);
+            }
+        }
         for a in 0..m {
             for b in 0..m {
-                let mut value = 0.0;
-                for c in 0..m {
-                    for d in 0..m {
-                        let site = 0.5 * (right[c * m + d] + right[d * m + c]);
-                        value += turn[c * m + a] * site * turn[d * m + b];
-                    }
-                }
+                let value: f64 = (0..m).map(|c| turn[c * m + a] * self.system[c * m + b]).sum();
                 precision[a * m + b] = (1.0 - step) * precision[a * m + b] + step * value;
             }
             let new: f64 = (0..m).map(|c| turn[c * m + a] * self.pulls[c]).sum();

@@ -24,28 +24,37 @@ pub struct Lies<'a> {
     pub spread: [f64; 2],
 }
 
-/// log N(z; b, v + s I) without 2π, and the inverse of the root of the determinant apart.
+/// Variances from which on products are taken to logarithms, so that they do not overflow.
+const LARGE: f64 = 1e100;
+
+/// log N(z; b, v + s I) without 2π, in two parts: one to be exponentiated, and a factor.
 #[inline(always)]
 fn gauss(z: &[f64], v: &[f64], center: impl Fn(usize) -> f64, added: f64) -> (f64, f64) {
-    let (mut square, mut det) = (0.0, 1.0);
+    let (mut log, mut det) = (0.0, 1.0);
     for (a, (z, v)) in z.iter().zip(v).enumerate() {
         let (variance, d) = (v + added, z - center(a));
-        square += d * d / variance;
+        log -= 0.5 * d * d / variance;
         det *= variance;
+        if det > LARGE {
+            (log, det) = (log - 0.5 * det.ln(), 1.0);
+        }
     }
-    (-0.5 * square, 1.0 / det.sqrt())
+    (log, 1.0 / det.sqrt())
 }
 
 /// The same for z_a v_a^-½ ~ N(b_a, 1 + s).
 #[inline(always)]
 fn wide(z: &[f64], v: &[f64], center: impl Fn(usize) -> f64, added: f64) -> (f64, f64) {
-    let (mut square, mut det) = (0.0, 1.0);
+    let (mut log, mut det) = (0.0, 1.0);
     for (a, (z, v)) in z.iter().zip(v).enumerate() {
         let d = z / v.sqrt() - center(a);
-        square += d * d;
+        log -= 0.5 * d * d / (1.0 + added);
         det *= v * (1.0 + added);
+        if det > LARGE {
+            (log, det) = (log - 0.5 * det.ln(), 1.0);
+        }
     }
-    (-0.5 * square / (1.0 + added), 1.0 / det.sqrt())
+    (log, 1.0 / det.sqrt())
 }
 
 /// Densities of z as honest, constant, drifting and wild, over the largest of their exponentials.
@@ -126,8 +135,10 @@ impl Labels {
         one: &Arrived,
         index: usize,
         (sample, prior): (&Sample, &Prior),
-        scratch: &Scratch,
+        scratch: &mut Scratch,
     ) -> f64 {
+        let tau2 = self.cluster(one, self.belief[index][3], &mut scratch.mu);
+        let scratch = &*scratch;
         let log = |each: &dyn Fn(usize, f64, f64) -> (f64, f64)| {
             (0..one.size).fold((0.0, 1.0), |(log, scale), a| {
                 let channel = one.first + a;
@@ -145,7 +156,7 @@ impl Labels {
             }
             Label::Wild => {
                 let broad = log(&|_, z, v| wide(&[z], &[v], |_| 0.0, BROAD));
-                let learned = log(&|a, z, v| wide(&[z], &[v], |_| self.mu[a], self.tau2));
+                let learned = log(&|a, z, v| wide(&[z], &[v], |_| scratch.mu[a], tau2));
                 let largest = broad.0.max(learned.0);
                 let part = |share: f64, part: (f64, f64)| share * part.1 * (part.0 - largest).exp();
                 largest + (part(SHARES.0, broad) + part(SHARES.1, learned)).ln()

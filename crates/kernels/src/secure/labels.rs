@@ -99,9 +99,10 @@ pub struct Labels {
     pub sweeps: usize,
     /// log evidence of the rounded beliefs.
     pub evidence: f64,
-    /// μ by channel within a sensor, τ².
-    pub(super) mu: Vec<f64>,
-    pub(super) tau2: f64,
+    /// Sums over the wild: beliefs, squares of their standardised residuals, and these by channel within a sensor.
+    count: f64,
+    square: f64,
+    sum: Vec<f64>,
 }
 
 /// Scratch of a sweep.
@@ -114,6 +115,8 @@ pub struct Scratch {
     /// For sensors with several channels.
     cavity: Cavity,
     block: Block,
+    /// μ of the others' lies.
+    pub(super) mu: Vec<f64>,
     /// μ, b of a constant and of a drifting injection in turned coordinates.
     turned: [Vec<f64>; 3],
 }
@@ -128,6 +131,7 @@ impl Scratch {
             variance: vec![0.0; m],
             cavity: Cavity::new(widest),
             block: Block::new(widest),
+            mu: room(),
             turned: [room(), room(), room()],
         }
     }
@@ -150,8 +154,9 @@ impl Labels {
             gap: 0.0,
             sweeps: 0,
             evidence: 0.0,
-            mu: vec![0.0; widest],
-            tau2: 1.0,
+            count: 0.0,
+            square: 0.0,
+            sum: vec![0.0; widest],
         }
     }
 
@@ -164,13 +169,14 @@ impl Labels {
             (&mut self.v, &other.v),
             (&mut self.mean, &other.mean),
             (&mut self.turn, &other.turn),
-            (&mut self.mu, &other.mu),
+            (&mut self.sum, &other.sum),
         ];
         pairs.into_iter().for_each(|(mine, theirs)| mine.copy_from_slice(theirs));
         self.belief.copy_from_slice(&other.belief);
         self.density.copy_from_slice(&other.density);
         (self.gap, self.sweeps) = (other.gap, other.sweeps);
-        (self.evidence, self.tau2) = (other.evidence, other.tau2);
+        self.evidence = other.evidence;
+        (self.count, self.square) = (other.count, other.square);
     }
 
     /// Whether a sensor that arrived is believed.
@@ -303,23 +309,34 @@ impl Labels {
         (0..one.size).map(|c| self.turn[one.block + c * one.size + a] * part(c)).sum()
     }
 
-    /// μ and τ² from the wild; with normal-inverse-gamma prior: one observation at 0.
+    /// Sum up the wild.
     #[inline(always)]
     fn learn(&mut self, sample: &Sample) {
-        let widest = sample.widest;
-        let (mut count, mut square) = (0.0, 0.0);
-        self.mu[..widest].fill(0.0);
+        (self.count, self.square) = (0.0, 0.0);
+        self.sum[..sample.widest].fill(0.0);
         for (index, one) in sample.arrived.iter().enumerate() {
             let weight = self.belief[index][3];
-            count += weight;
+            self.count += weight;
             for a in 0..one.size {
                 let value = self.standardised(one, a);
-                self.mu[a] += weight * value;
-                square += weight * value * value;
+                self.sum[a] += weight * value;
+                self.square += weight * value * value;
             }
         }
-        self.mu[..widest].iter_mut().for_each(|mu| *mu /= count + 1.0);
-        self.tau2 = cluster_spread(count, square, &self.mu[..widest]);
+    }
+
+    /// μ into `mu`, and τ², from all wild but one sensor, whose belief is or was `weight`; with normal-inverse-gamma prior:
+    /// one observation at 0. A sensor that took part in what it is compared with would explain itself.
+    #[inline(always)]
+    pub(super) fn cluster(&self, one: &Arrived, weight: f64, mu: &mut [f64]) -> f64 {
+        let count = (self.count - weight).max(0.0);
+        let mut square = self.square;
+        for (a, mu) in mu[..one.size].iter_mut().enumerate() {
+            let value = self.standardised(one, a);
+            square -= weight * value * value;
+            *mu = (self.sum[a] - weight * value) / (count + 1.0);
+        }
+        cluster_spread(count, square.max(0.0), &mu[..one.size])
     }
 
     /// One sweep over all sensors that arrived.
@@ -339,8 +356,10 @@ impl Labels {
                 self.density[index] = [1.0, 0.0, 0.0, 0.0];
                 continue;
             }
+            let Scratch { mu, .. } = scratch;
+            let tau2 = self.cluster(one, self.belief[index][3], mu);
             self.turn(one, prior, scratch);
-            let density = self.judge(one, prior.spread[index], scratch);
+            let density = self.judge(one, prior.spread[index], tau2, scratch);
             let mut belief = prior.probability[index];
             belief.iter_mut().zip(&density).for_each(|(p, density)| *p *= density);
             let sum: f64 = belief.iter().sum();
@@ -367,7 +386,7 @@ impl Labels {
     fn turn(&self, one: &Arrived, prior: &Prior, scratch: &mut Scratch) {
         let Arrived { first, size, block, .. } = *one;
         let range = first..first + size;
-        let sources = [&self.mu[..size], &prior.offset[range.clone()], &prior.drift[range]];
+        let sources = [&scratch.mu[..size], &prior.offset[range.clone()], &prior.drift[range]];
         for (turned, source) in scratch.turned.iter_mut().zip(sources) {
             for (a, value) in turned[..size].iter_mut().enumerate() {
                 *value = dot(&self.turn[block + a * size..block + (a + 1) * size], source);
@@ -377,10 +396,10 @@ impl Labels {
 
     /// Densities of a sensor in all cases.
     #[inline(always)]
-    fn judge(&self, one: &Arrived, spread: [f64; 2], scratch: &Scratch) -> [f64; 4] {
+    fn judge(&self, one: &Arrived, spread: [f64; 2], tau2: f64, scratch: &Scratch) -> [f64; 4] {
         let range = one.first..one.first + one.size;
         let [mu, offset, drift] = &scratch.turned;
-        let lies = Lies { mu, tau2: self.tau2, offset, drift, spread };
+        let lies = Lies { mu, tau2, offset, drift, spread };
         density::densities(&self.z[range.clone()], &self.v[range], &lies)
     }
 

@@ -27,6 +27,9 @@ const CERTAIN: f64 = 1e-6;
 /// Noise added to a liar that is used less its injection, where it is not to be used: too large to count.
 const UNUSED: f64 = 1e6;
 
+/// Most that a lie ends per sample because the others say little of the sensor.
+const FASTEST: f64 = 0.5;
+
 /// Most that one sample says for or against a lie, as a ratio.
 const DECISIVE: f64 = 1e13;
 
@@ -138,21 +141,20 @@ impl Memory {
         }
     }
 
-    /// Every chain and injection one sample on: before the sample is seen.
+    /// Chains and injections of the sensors that arrived one sample on: before the sample is seen. Who is silent is
+    /// remembered as it was.
     #[inline(always)]
-    pub fn move_on(&mut self, settings: &Settings) {
+    pub fn move_on(&mut self, settings: &Settings, sample: &Sample) {
         let sensors = settings.protected.len();
         for (lying, habit) in self.lying.chunks_exact_mut(sensors).zip(&HABITS) {
-            for (i, p) in lying.iter_mut().enumerate() {
-                *p = *p * (1.0 - habit.recovery) + (1.0 - *p) * settings.onset(habit, i);
+            for i in sample.arrived.iter().map(|one| one.sensor) {
+                let p = &mut lying[i];
+                let recovery = (habit.recovery * self.open[i]).min(habit.recovery.max(FASTEST));
+                *p = *p * (1.0 - recovery) + (1.0 - *p) * settings.onset(habit, i);
             }
         }
-        let mut channel = 0;
-        for (i, &size) in settings.sizes.iter().enumerate() {
-            if !settings.protected[i] {
-                self.move_injection(settings, i, channel..channel + size);
-            }
-            channel += size;
+        for i in sample.arrived.iter().filter(|one| !one.protected).map(|one| one.sensor) {
+            self.move_injection(settings, i, settings.channels(i));
         }
     }
 
@@ -162,6 +164,7 @@ impl Memory {
         let Self { drifting, constant, wild, open, latest, .. } = self;
         let (drifts, rests) = (drifting.belief[i], constant.belief[i]);
         let honest = (1.0 - drifts - rests - wild[i]).max(0.0);
+        let end = (END * open[i]).min(FASTEST);
         let (begins, settles) = (0.5 * honest * settings.steady, 0.5 * wild[i] * SETTLE);
         let size = channels.len() as f64;
         let mut spreads = [0.0; 2];
@@ -170,7 +173,7 @@ impl Memory {
         let kinds = [(drifts, rests, drifting.change), (rests, drifts, constant.change)];
         let before = [drifting.spread[i], constant.spread[i]];
         for (kind, &(own, other, change)) in kinds.iter().enumerate() {
-            let parts = [own * (1.0 - END - TURN), other * TURN, begins, settles];
+            let parts = [own * (1.0 - end - TURN), other * TURN, begins, settles];
             let belief: f64 = parts.iter().sum();
             shares[kind] = parts.map(|part| part / belief);
             let variances =

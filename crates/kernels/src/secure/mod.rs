@@ -103,8 +103,6 @@ struct Work {
     /// Scratch by channel.
     channel: Vec<f64>,
     eta: Vec<f64>,
-    /// Scratch by state.
-    direction: Vec<f64>,
 }
 
 /// Which labelling won, and how sure that is.
@@ -163,7 +161,6 @@ impl Secure {
             innovation: vec![0.0; m],
             channel: vec![0.0; m],
             eta: vec![0.0; m],
-            direction: vec![1.0; 2 * n],
         };
         State { k: 0, x: mean, prior, memory, work: Box::new(work) }
     }
@@ -317,7 +314,7 @@ impl Secure {
             work.complete = all && self.model.horizon.is_none();
         }
         if *k > 0 {
-            memory.move_on(settings);
+            memory.move_on(settings, &work.sample);
         }
         self.model.innovation(*k, x, (y, u), &mut work.innovation);
         self.measure(work, prior, memory);

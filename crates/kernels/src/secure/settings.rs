@@ -100,8 +100,10 @@ pub struct Settings {
     pub steady: f64,
     /// Nobody can tamper with these, (N,).
     pub protected: Vec<bool>,
-    /// Channels of every sensor, (N,).
+    /// Channels of every sensor, (N,), and its first one.
     pub sizes: Vec<usize>,
+    /// See `sizes`.
+    pub first: Vec<usize>,
     /// Standard deviation of the noise of every channel, (m,).
     pub deviations: Vec<f64>,
     /// Share of [`FADE`] that the sensors of the plant make up.
@@ -131,9 +133,15 @@ impl Settings {
         }
         let mut sizes = vec![0; sensors];
         channel_sensor.iter().for_each(|&sensor| sizes[sensor] += 1);
+        let first = sizes.iter().scan(0, |next, size| {
+            let first = *next;
+            *next += size;
+            Some(first)
+        });
+        let first = first.collect();
         let open = protected.iter().filter(|&&protected| !protected).count();
         let crowd = (open as f64 / CROWD).min(1.0);
-        Ok(Self { onset, steady, protected, sizes, deviations, crowd, without: Vec::new() })
+        Ok(Self { onset, steady, protected, sizes, first, deviations, crowd, without: Vec::new() })
     }
 
     /// Whether a part is in use.
@@ -141,6 +149,12 @@ impl Settings {
     #[must_use]
     pub fn has(&self, part: Part) -> bool {
         !self.without.contains(&part)
+    }
+
+    /// Channels of a sensor.
+    #[must_use]
+    pub fn channels(&self, sensor: usize) -> std::ops::Range<usize> {
+        self.first[sensor]..self.first[sensor] + self.sizes[sensor]
     }
 
     /// Probability that a sensor begins to lie in a habit.

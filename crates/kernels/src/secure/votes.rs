@@ -1,17 +1,25 @@
 //! Whether the accused are too many to be the liars.
 //!
-//! In some direction of the state more sensors are accused than believed, the prediction counting as one: the largest
-//! eigenvalue of K (I + T)⁻¹ exceeds 1, K and T the sums of the unit vectors (in units of P⁻) along which the accused
-//! and the others see the state. Among sensors of a scalar state this counts heads; among sensors that each see a part of
-//! it, it counts those who see the same part.
+//! They are if they are no minority, and also if, of the sensors that see the state along the same line, more are accused
+//! than all that are believed see of that line, the prediction counting as one:
+//!
+//! ```text
+//!     k zᵀ (I + T)⁻¹ z > 1
+//! ```
+//!
+//! z is the unit vector (in units of P⁻) along which k accused sensors see the state, T the sum of z zᵀ over the channels
+//! of those who are believed. Sensors that see different combinations of states are not counted together: few believed
+//! ones may know more than many accused.
 
 use crate::linalg::dot;
 use crate::mixture::information::Information;
+use crate::mixture::sample::Sample;
 use crate::secure::Work;
+use crate::secure::labels::Labels;
 use crate::secure::settings::{Part, Settings};
 
-/// Rounds of the power method.
-const ROUNDS: usize = 8;
+/// Cosine from which on two sensors see the same.
+const SAME: f64 = 1.0 - 1e-6;
 
 /// Rounding by which as many accused as believed may look like more.
 const ROUNDING: f64 = 1e-9;
@@ -22,46 +30,46 @@ const PROTECTED: f64 = 1e3;
 /// Whether the labelling `winner` accuses more than it believes.
 #[inline(always)]
 pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> bool {
-    let Work { sample, information, trials, direction, .. } = work;
+    let Work { sample, information, trials, .. } = work;
     let labels = &trials[winner];
-    let accused = (0..sample.arrived.len()).filter(|&index| !labels.believes(index)).count();
-    if accused == 0 || accused > settings.most(sample) {
-        return accused > 0;
+    let accused = channels(sample, labels, false).count();
+    if accused == 0 {
+        return false;
     }
-    if !settings.has(Part::Votes) {
+    if (0..sample.arrived.len()).filter(|&index| !labels.believes(index)).count() > settings.most(sample) {
+        return true;
+    }
+    if accused == 1 || !settings.has(Part::Votes) {
         return false;
     }
     information.clear();
-    for (_, one) in sample.arrived.iter().enumerate().filter(|(index, _)| labels.believes(*index)) {
-        for channel in one.first..one.first + one.size {
-            let factor = if one.protected { PROTECTED } else { unit(information, channel) };
-            information.weigh(factor, channel);
-        }
+    for (channel, protected) in channels(sample, labels, true) {
+        let factor = unit(information, channel) * if protected { PROTECTED } else { 1.0 };
+        information.weigh(factor, channel);
     }
     information.update();
-    let (v, next) = direction.split_at_mut(information.states());
-    v.fill(1.0);
-    let mut value = 0.0;
-    for _ in 0..ROUNDS {
-        let length = dot(v, v).sqrt();
-        if length == 0.0 {
-            return false;
-        }
-        v.iter_mut().for_each(|v| *v /= length);
-        next.fill(0.0);
-        for (_, one) in sample.arrived.iter().enumerate().filter(|(index, _)| !labels.believes(*index)) {
-            for channel in one.first..one.first + one.size {
-                let factor = unit(information, channel);
-                let along: f64 = information.w_t().zip(v.iter()).map(|(w, v)| w[channel] * v).sum();
-                for (target, w) in next.iter_mut().zip(information.w_t()) {
-                    *target += factor * factor * along * w[channel];
-                }
-            }
-        }
-        value = dot(next, next).sqrt();
-        v.copy_from_slice(next);
-    }
-    value > 1.0 + ROUNDING
+    channels(sample, labels, false).any(|(channel, _)| {
+        let (z, length) = (information.z(channel), unit(information, channel));
+        let alike = |other: usize| {
+            let cosine = length * unit(information, other) * dot(z, information.z(other));
+            cosine.abs() > SAME
+        };
+        let votes = channels(sample, labels, false).filter(|(other, _)| alike(*other)).count();
+        let open: f64 = information.w_t().map(|w| w[channel] * w[channel]).sum();
+        votes > 1 && votes as f64 * length * length * open > 1.0 + ROUNDING
+    })
+}
+
+/// Channels of the sensors that are believed, or of those that are not, and whether they are protected.
+#[inline(always)]
+fn channels<'a>(
+    sample: &'a Sample,
+    labels: &'a Labels,
+    believed: bool,
+) -> impl Iterator<Item = (usize, bool)> + 'a {
+    let chosen =
+        sample.arrived.iter().enumerate().filter(move |(index, _)| labels.believes(*index) == believed);
+    chosen.flat_map(|(_, one)| (one.first..one.first + one.size).map(|channel| (channel, one.protected)))
 }
 
 /// Inverse length of a row of Z.
