@@ -232,7 +232,7 @@ def test_a_reading_beyond_all_bounds_counts_as_nothing(size: float) -> None:
     liars = np.abs(y) > 1e7
     run, told = SecureFilter(plant).run(y), oracle(plant, y, liars)
     assert run.suspected[liars].all() and run.suspected[~liars].mean() < 0.05
-    np.testing.assert_allclose(run.attack[liars], y[liars], rtol=1e-6)
+    np.testing.assert_allclose(run.attack[liars], y[liars], rtol=1e-3)
     assert mean_square(run, x) < 1.5 * mean_square(told, x)
 
 

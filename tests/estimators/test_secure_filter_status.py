@@ -69,7 +69,7 @@ def test_sensors_that_share_noise_are_refused() -> None:
 def test_one_sample_is_as_likely_a_lie_as_not_at_the_threshold() -> None:
     for rate in (1e-4, 1e-3, 1e-2):
         p = onset_probability(np.array([1, 2, 3]), rate)
-        z = np.sqrt(MARGIN * chi2.isf(rate, 1))
+        z = np.sqrt((1 + MARGIN) * chi2.isf(rate, 1))
         honest, lie = norm.pdf(z), norm.pdf(z, scale=np.sqrt(1 + BROAD))
         assert p[0] * lie == pytest.approx((1 - p[0]) * honest, rel=1e-9)
         assert (p <= p[0]).all() and (p > 0).all()
