@@ -190,20 +190,21 @@ def test_its_error_is_no_worse_than_that_of_an_independent_program(case: dict[st
 # ---------------------------------------------------------------- no prior
 
 
-@pytest.mark.parametrize("size", [(20, 20, 6), (20, 40, 12)], ids=str)
+@pytest.mark.parametrize("size", [(20, 20, 6), (20, 40, 12), (50, 50, 15)], ids=str)
 def test_without_a_prior_fixed_liars_are_known_from_the_first_sample(size: tuple[int, int, int]) -> None:
-    one = instance(*size, 0, fixed=True)
-    estimator = SecureFilter(one.plant)
-    run = estimator.run(one.y, prior="window")
-    tau = cold_start(one.plant, one.y).samples
-    assert 0 < tau < len(one.y) and (run.status[:tau] == Status.COLD_START).all()
-    np.testing.assert_array_equal(run.suspected[:tau], one.liars[:tau])
-    best = OracleFilter(one.plant).run(
-        one.y, prior=Belief(np.zeros(size[0]), 100 * np.eye(size[0])), attacked=one.liars
-    )
-    late = slice(tau, None)
-    error, least = (((each.x - one.x[:-1]) ** 2)[late].mean() for each in (run, best))
-    assert (run.suspected[late] == one.liars[late]).mean() > 0.97 and error < 2 * least, error / least
+    ratios = []
+    for seed in range(5):
+        one = instance(*size, seed, fixed=True)
+        run = SecureFilter(one.plant).run(one.y, prior="window")
+        tau = cold_start(one.plant, one.y).samples
+        assert 0 < tau < len(one.y) and (run.status[:tau] == Status.COLD_START).all()
+        np.testing.assert_array_equal(run.suspected[:tau], one.liars[:tau])
+        assert (run.suspected[tau:] == one.liars[tau:]).mean() > 0.97
+        vague = Belief(np.zeros(size[0]), 100 * np.eye(size[0]))
+        best = OracleFilter(one.plant).run(one.y, prior=vague, attacked=one.liars)
+        error, least = (((each.x - one.x[:-1])[tau:] ** 2).mean() for each in (run, best))
+        ratios.append(error / least)
+    assert np.median(ratios) < 1.2 and max(ratios) < 1.5, ratios
 
 
 def test_a_start_that_is_not_certified_warns_and_says_so() -> None:
@@ -231,6 +232,7 @@ def test_a_reading_beyond_all_bounds_counts_as_nothing(size: float) -> None:
     liars = np.abs(y) > 1e7
     run, told = SecureFilter(plant).run(y), oracle(plant, y, liars)
     assert run.suspected[liars].all() and run.suspected[~liars].mean() < 0.05
+    np.testing.assert_allclose(run.attack[liars], y[liars], rtol=1e-3)
     assert mean_square(run, x) < 1.5 * mean_square(told, x)
 
 

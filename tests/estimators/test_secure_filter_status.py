@@ -13,16 +13,22 @@ from tests.estimators.mixture_cases import scalar_plant
 # ---------------------------------------------------------------- statuses
 
 
-def equal_sensors(values: list[float]) -> Run:
-    sensors = [Sensor(f"s{i}", C=[1.0], R=0.01) for i in range(len(values))]
+def equal_sensors(values: list[float], R: list[float] | None = None) -> Run:
+    sensors = [Sensor(f"s{i}", C=[1.0], R=R[i] if R else 0.01) for i in range(len(values))]
     return SecureFilter(Plant([[1.0]], [[1.0]], sensors)).run([values], prior=Belief([0.0], [[4.0]]))
 
 
+def test_two_pairs_that_contradict_each_other_are_ambiguous_and_p_holds_both() -> None:
+    run = equal_sensors([0.5, 0.6, -0.6, -0.65, -0.2], [0.01] * 4 + [40.0])
+    assert run.status[0] == Status.AMBIGUOUS and run.diagnostics["rival"][0] > 0.05
+    assert abs(run.x[0, 0]) < 0.5 < run.x_std[0, 0]  # .07 if either pair were believed
+    assert run.trust[0, 4] > 0.9 and (np.abs(run.trust[0, :4] - 0.5) < 0.3).all()
+
+
 @pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
-def test_two_against_two_is_ambiguous_and_p_holds_both() -> None:
+def test_half_against_half_is_a_majority_that_is_suspected() -> None:
     run = equal_sensors([1.9, 2.0, -1.95, -2.05])
-    assert run.status[0] == Status.AMBIGUOUS and run.x_std[0, 0] > 1.5
-    assert run.diagnostics["rival"][0] > 0.05
+    assert run.status[0] == Status.MAJORITY_SUSPECT and run.suspected.sum() == 2
 
 
 def test_a_majority_that_is_suspected_is_said() -> None:
@@ -63,7 +69,7 @@ def test_sensors_that_share_noise_are_refused() -> None:
 def test_one_sample_is_as_likely_a_lie_as_not_at_the_threshold() -> None:
     for rate in (1e-4, 1e-3, 1e-2):
         p = onset_probability(np.array([1, 2, 3]), rate)
-        z = np.sqrt(MARGIN * chi2.isf(rate, 1))
+        z = np.sqrt((1 + MARGIN) * chi2.isf(rate, 1))
         honest, lie = norm.pdf(z), norm.pdf(z, scale=np.sqrt(1 + BROAD))
         assert p[0] * lie == pytest.approx((1 - p[0]) * honest, rel=1e-9)
         assert (p <= p[0]).all() and (p > 0).all()

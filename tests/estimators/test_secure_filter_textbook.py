@@ -5,7 +5,7 @@ Of the labels only honest and wild are possible before anything is remembered:
     honest   r_i ~ N(C_i e, R_i), e ~ N(0, P)
     wild     u_i = V_i^-1/2 (r_i - m_i), half N(0, (1 + BROAD) I) and half N(mu, (1 + tau^2) I)
 
-m_i and V_i are what the others expect, mu and tau^2 come from all wild ones with a normal-inverse-gamma prior.
+m_i and V_i are what the others expect; mu and tau^2 have a normal-inverse-gamma prior, and learn from others.
 """
 
 from __future__ import annotations
@@ -43,6 +43,15 @@ def root_of_inverse(V: Array) -> Array:
     return np.asarray((vectors / np.sqrt(values)) @ vectors.T)
 
 
+def cluster(m: int, lies: list[tuple[float, Array]]) -> tuple[Array, float]:
+    """Mean of these lies in the first m channels, and their spread; before them, one observation at 0."""
+    count, mu = sum(weight for weight, _ in lies), np.zeros(m)
+    for weight, u in lies:
+        mu[: len(u)] += weight * u[:m] / (count + 1)
+    square = sum(weight * u @ u for weight, u in lies) - (count + 1) * mu @ mu
+    return mu, max((square + 2 * CLUSTER**2) / (m * count + m + 2) - 1, LEAST)
+
+
 def textbook(plant: Plant, y: Array, prior: Belief) -> Answer:
     """Sweeps that begin from what is believed before the sample."""
     assert prior.P is not None
@@ -53,7 +62,7 @@ def textbook(plant: Plant, y: Array, prior: Belief) -> Answer:
     onset = onset_probability(np.array([len(rows) for rows in own]), 1e-3)
     honest = 1 - (WEIGHTS[0] * onset + sum(w * q for w, q in zip(WEIGHTS[1:], QUICK, strict=True)))
     honest[plant.protected] = 1.0
-    N, widest = len(own), max(len(rows) for rows in own)
+    N = len(own)
     gamma = honest.copy()
     Lambda = [g * np.eye(len(rows)) for g, rows in zip(gamma, own, strict=True)]
     eta = [g * each for g, each in zip(gamma, r, strict=True)]
@@ -70,21 +79,17 @@ def textbook(plant: Plant, y: Array, prior: Belief) -> Answer:
         V = [h + np.eye(len(h)) for _, h in views]
         rho = [r[i] - views[i][0] for i in range(N)]
         u = [root_of_inverse(V[i]) @ rho[i] for i in range(N)]
-        count = sum(1 - gamma)
-        mu = np.zeros(widest)
-        for i in range(N):
-            mu[: len(u[i])] += (1 - gamma[i]) * u[i] / (count + 1)
-        square = sum((1 - gamma[i]) * u[i] @ u[i] for i in range(N)) - (count + 1) * mu @ mu
-        tau2 = max((square + 2 * CLUSTER**2) / (widest * count + widest + 2) - 1, LEAST)
+        wild_before = 1 - gamma
         gap, step = 0.0, 1.0 if sweep == 0 else 0.5
         for i in range(N):
             if plant.protected[i]:
                 continue
             m, one = len(u[i]), np.eye(len(u[i]))
             size = np.sqrt(np.linalg.det(V[i]))
+            mu, tau2 = cluster(m, [(wild_before[j], u[j]) for j in range(N) if j != i])
             wild = (
                 SHARE * multivariate_normal.pdf(u[i], np.zeros(m), (1 + BROAD) * one)
-                + (1 - SHARE) * multivariate_normal.pdf(u[i], mu[:m], (1 + tau2) * one)
+                + (1 - SHARE) * multivariate_normal.pdf(u[i], mu, (1 + tau2) * one)
             ) / size
             plain = multivariate_normal.pdf(rho[i], np.zeros(m), V[i])
             belief = honest[i] * plain / (honest[i] * plain + (1 - honest[i]) * wild)

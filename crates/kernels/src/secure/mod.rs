@@ -242,7 +242,8 @@ impl Secure {
     }
 
     /// More were accused than believed for some time: the prediction or what is remembered may be wrong. Explain the
-    /// sample without either. What explains it better than the labelling in doubt would, on the same terms, stays.
+    /// sample without either. What outvotes nobody and explains it better than the labelling in doubt would, on the same
+    /// terms, stays: where states outnumber the sensors that see them, the accused are often many in some direction.
     #[inline(always)]
     fn doubt(&self, work: &mut Work, memory: &mut Memory, prior: &Ud, verdict: Verdict) -> Verdict {
         let settings = &self.settings;
@@ -262,7 +263,7 @@ impl Secure {
         let fresh = self.choose(work);
         let plea = self.plead(work);
         let found = &work.trials[fresh.winner];
-        if found.evidence > plea && !found.agrees(&work.kept, work.sample.arrived.len()) {
+        if !fresh.outvoted && found.evidence > plea && !found.agrees(&work.kept, work.sample.arrived.len()) {
             return Verdict { rival: None, ..fresh };
         }
         memory.copy_from(&mut work.remembered);
