@@ -99,8 +99,10 @@ pub struct Labels {
     pub sweeps: usize,
     /// log evidence of the rounded beliefs.
     pub evidence: f64,
-    /// Sums over the wild: beliefs, squares of their standardised residuals, and these by channel within a sensor.
+    /// Sums over the wild: beliefs, also times channels, squares of their standardised residuals, and these by channel
+    /// within a sensor.
     count: f64,
+    channels: f64,
     square: f64,
     sum: Vec<f64>,
 }
@@ -155,6 +157,7 @@ impl Labels {
             sweeps: 0,
             evidence: 0.0,
             count: 0.0,
+            channels: 0.0,
             square: 0.0,
             sum: vec![0.0; widest],
         }
@@ -176,7 +179,7 @@ impl Labels {
         self.density.copy_from_slice(&other.density);
         (self.gap, self.sweeps) = (other.gap, other.sweeps);
         self.evidence = other.evidence;
-        (self.count, self.square) = (other.count, other.square);
+        (self.count, self.channels, self.square) = (other.count, other.channels, other.square);
     }
 
     /// Whether a sensor that arrived is believed.
@@ -312,11 +315,12 @@ impl Labels {
     /// Sum up the wild.
     #[inline(always)]
     fn learn(&mut self, sample: &Sample) {
-        (self.count, self.square) = (0.0, 0.0);
+        (self.count, self.channels, self.square) = (0.0, 0.0, 0.0);
         self.sum[..sample.widest].fill(0.0);
         for (index, one) in sample.arrived.iter().enumerate() {
             let weight = self.belief[index][3];
             self.count += weight;
+            self.channels += weight * one.size as f64;
             for a in 0..one.size {
                 let value = self.standardised(one, a);
                 self.sum[a] += weight * value;
@@ -336,7 +340,8 @@ impl Labels {
             square -= weight * value * value;
             *mu = (self.sum[a] - weight * value) / (count + 1.0);
         }
-        cluster_spread(count, square.max(0.0), &mu[..one.size])
+        let channels = (self.channels - weight * one.size as f64).max(0.0);
+        cluster_spread((count, channels), square.max(0.0), &mu[..one.size])
     }
 
     /// One sweep over all sensors that arrived.

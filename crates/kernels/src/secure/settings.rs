@@ -182,12 +182,12 @@ impl Settings {
     }
 }
 
-/// τ² of a cluster of so many lies with this sum of squares about a mean shrunk towards 0.
+/// τ² of a cluster of so many lies, in so many channels, with this sum of squares about a mean shrunk towards 0.
 #[inline(always)]
 #[must_use]
-pub fn cluster_spread(count: f64, square: f64, mean: &[f64]) -> f64 {
-    let m = mean.len() as f64;
+pub fn cluster_spread((count, channels): (f64, f64), square: f64, mean: &[f64]) -> f64 {
     let about: f64 = mean.iter().map(|mu| mu * mu).sum();
     let pseudo = 2.0 * CLUSTER.0 * CLUSTER.0;
-    ((square - (count + 1.0) * about + pseudo) / (m * count + m + 2.0) - 1.0).max(CLUSTER.1)
+    let freedom = channels + mean.len() as f64 + 2.0;
+    ((square - (count + 1.0) * about + pseudo) / freedom - 1.0).max(CLUSTER.1)
 }

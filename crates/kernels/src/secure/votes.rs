@@ -25,6 +25,9 @@ const SAME: f64 = 1.0 - 1e-6;
 /// Rounding by which as many accused as believed may look like more.
 const ROUNDING: f64 = 1e-9;
 
+/// Accused sensors that see the same from which on they may be too many: two may be two liars.
+const FEW: usize = 3;
+
 /// Votes of a protected sensor, as a root.
 const PROTECTED: f64 = 1e3;
 
@@ -51,7 +54,7 @@ pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> b
                 accused(sample, labels).filter(|other| sees_the_same(information, channel, other)).count();
             let open = length * length * information.w_t().map(|w| w[channel] * w[channel]).sum::<f64>();
             counts |= alike > 1 || open < 1.0 - ROUNDING;
-            many |= alike > 1 && alike as f64 * open > 1.0 + ROUNDING;
+            many |= alike >= FEW && alike as f64 * open > 1.0 + ROUNDING;
         }
         if many && settings.has(Part::Votes) {
             return true;
