@@ -49,7 +49,8 @@ def cluster(m: int, lies: list[tuple[float, Array]]) -> tuple[Array, float]:
     for weight, u in lies:
         mu[: len(u)] += weight * u[:m] / (count + 1)
     square = sum(weight * u @ u for weight, u in lies) - (count + 1) * mu @ mu
-    return mu, max((square + 2 * CLUSTER**2) / (m * count + m + 2) - 1, LEAST)
+    freedom = sum(weight * len(u) for weight, u in lies) + m + 2
+    return mu, max((square + 2 * CLUSTER**2) / freedom - 1, LEAST)
 
 
 def textbook(plant: Plant, y: Array, prior: Belief) -> Answer:

@@ -91,9 +91,9 @@ def test_honest_sensors_are_suspected_for_one_percent_of_the_time_and_each_for_a
 def test_what_is_said_of_honest_sensors_is_that_their_alarms_are_faint(done: tuple[Path, str]) -> None:
     named = re.findall(r"^  (XMEAS .*?) (lies|lied|raised) ", done[1], re.MULTILINE)
     assert {name for name, how in named if how != "raised"} == {PRESSURE, TEMPERATURE}
-    assert "XMEAS 18 stripper temperature raised" in done[1] and "too faint to say that it lies" in " ".join(
-        done[1].split()
-    )
+    faint = sum(how == "raised" for _, how in named)
+    text = " ".join(done[1].split())
+    assert len(re.findall("too faint to say that it lies|more than chance explains", text)) >= faint
 
 
 @pytest.mark.parametrize(

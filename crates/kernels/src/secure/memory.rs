@@ -223,7 +223,7 @@ impl Memory {
             let rest = 1.0 - steady * cut;
             prior.probability[index] = [rest * (1.0 - lies), constant * cut, drifting * cut, rest * lies];
             prior.spread[index] = [self.constant.spread[i], self.drifting.spread[i]];
-            prior.reuse = if settings.has(Part::Reuse) { CAUTION } else { UNUSED };
+            prior.reuse = if settings.has(Part::Reuse) && self.outvoted == 0 { CAUTION } else { UNUSED };
         }
     }
 

@@ -36,32 +36,50 @@ const PROTECTED: f64 = 1e3;
 pub(super) fn outvoted(work: &mut Work, settings: &Settings, winner: usize) -> bool {
     let Work { sample, information, trials, .. } = work;
     let labels = &trials[winner];
-    if channels(sample, labels, false).next().is_none() {
-        return false;
+    let (many, most) = (accused(sample, labels).count(), settings.most(sample));
+    if many > most && contested(sample, labels, information) > most {
+        return true;
     }
+    many >= FEW && settings.has(Part::Votes) && outweighed(sample, labels, information)
+}
+
+/// How many of the accused see something of what any other sensor sees.
+#[inline(always)]
+fn contested(sample: &Sample, labels: &Labels, information: &mut Information) -> usize {
     information.clear();
-    for (channel, protected) in channels(sample, labels, true) {
-        let factor = unit(information, channel) * if protected { PROTECTED } else { 1.0 };
-        information.weigh(factor, channel);
+    for channel in 0..information.count() {
+        information.weigh(unit(information, channel), channel);
     }
     information.update();
-    let mut heads = 0;
-    for one in accused(sample, labels) {
-        let (mut counts, mut many) = (false, false);
+    let alone = |channel: usize| leverage(information, channel) > 0.5 - ROUNDING; // z zᵀ alone beside I
+    accused(sample, labels).filter(|one| !(one.first..one.first + one.size).all(alone)).count()
+}
+
+/// Whether accused sensors that see the same line outweigh the believed along it.
+#[inline(always)]
+fn outweighed(sample: &Sample, labels: &Labels, information: &mut Information) -> bool {
+    information.clear();
+    for (index, one) in sample.arrived.iter().enumerate() {
         for channel in one.first..one.first + one.size {
-            let length = unit(information, channel);
-            let alike =
-                accused(sample, labels).filter(|other| sees_the_same(information, channel, other)).count();
-            let open = length * length * information.w_t().map(|w| w[channel] * w[channel]).sum::<f64>();
-            counts |= alike > 1 || open < 1.0 - ROUNDING;
-            many |= alike >= FEW && alike as f64 * open > 1.0 + ROUNDING;
+            if labels.believes(index) {
+                let factor = unit(information, channel) * if one.protected { PROTECTED } else { 1.0 };
+                information.weigh(factor, channel);
+            }
         }
-        if many && settings.has(Part::Votes) {
-            return true;
-        }
-        heads += usize::from(counts);
     }
-    heads > settings.most(sample)
+    information.update();
+    accused(sample, labels).flat_map(|one| one.first..one.first + one.size).any(|channel| {
+        let alike =
+            accused(sample, labels).filter(|other| sees_the_same(information, channel, other)).count();
+        alike >= FEW && alike as f64 * leverage(information, channel) > 1.0 + ROUNDING
+    })
+}
+
+/// zᵀ (I + T)⁻¹ z for the unit vector z of a channel.
+#[inline(always)]
+fn leverage(information: &Information, channel: usize) -> f64 {
+    let length = unit(information, channel);
+    length * length * information.w_t().map(|w| w[channel] * w[channel]).sum::<f64>()
 }
 
 /// Whether a sensor sees the state along the line of a channel.
@@ -78,18 +96,6 @@ fn sees_the_same(information: &Information, channel: usize, other: &Arrived) -> 
 #[inline(always)]
 fn accused<'a>(sample: &'a Sample, labels: &'a Labels) -> impl Iterator<Item = &'a Arrived> {
     sample.arrived.iter().enumerate().filter(|(index, _)| !labels.believes(*index)).map(|(_, one)| one)
-}
-
-/// Channels of the sensors that are believed, or of those that are not, and whether they are protected.
-#[inline(always)]
-fn channels<'a>(
-    sample: &'a Sample,
-    labels: &'a Labels,
-    believed: bool,
-) -> impl Iterator<Item = (usize, bool)> + 'a {
-    let chosen =
-        sample.arrived.iter().enumerate().filter(move |(index, _)| labels.believes(*index) == believed);
-    chosen.flat_map(|(_, one)| (one.first..one.first + one.size).map(|channel| (channel, one.protected)))
 }
 
 /// Inverse length of a row of Z.
