@@ -24,8 +24,8 @@ Float = NDArray[np.float64]
 #: Variance of a wild lie, in units of what the other sensors leave open; the kernel's `BROAD`.
 BROAD = 15.0
 
-#: A single sample accuses a sensor that was honest from its chi-square quantile on, plus this share of that of
-#: one channel: room for what memory and learned lies add to the rate of false accusations.
+#: A single sample accuses a sensor that was honest from its chi-square quantile on, plus this share of that
+#: of one channel: room for what memory and learned lies add to the rate of false accusations.
 MARGIN = 0.3
 
 #: A filter that may suspect everybody says nothing.
@@ -50,15 +50,16 @@ class SecureFilter(Estimator):
     (for long, for a few samples, or anew every time) are learned from all sensors, and injections are
     followed. A sensor that lies by a constant is used again, less its injection. Sweeps begin from what is
     remembered, from a gate on the prediction and, if it is news who lies, from a robust regression; where two
-    labellings are close, x is their mean and P holds how far they are apart. If the accused outvote the believed for
-    three samples, the filter tries again without its memory, P[k|k-1] inflated.
+    labellings are close, x is their mean and P holds how far they are apart. If the accused are too many to
+    be the liars for three samples, the filter tries again without its memory, P[k|k-1] inflated.
 
     Args:
         plant: any plant whose R correlates no two sensors. Without a steady state, as when it varies in time,
             `run` and `start` need a prior with a covariance P. Protected sensors are always believed.
         false_alarm_rate: share of the samples of an honest sensor at which it may be suspected while nobody
-            lies, in (0, 0.1]. Measured within a factor of 1.5 (docs/secure-filter.md). The only knob: all
-            else follows from it or is the same for every plant.
+            lies, in (0, 0.1]. Measured within a factor of 1.5 for scalar sensors, less often for those with
+            several channels (docs/secure-filter.md). The only knob: all else follows from it or is the same
+            for every plant.
 
     Attributes:
         steady: the steady state of the Kalman filter, or None.
@@ -78,10 +79,12 @@ class SecureFilter(Estimator):
         belief in the last; "distrusted", how many sensors are suspected; "rival", weight of a second
         labelling that was merged.
         While others lie, honest sensors are suspected more often: until the liars are named, x is theirs too.
+        A lie that grows is followed from behind, by up to some `attack_std`; of a constant one `attack_std`
+        is honest.
         An innovation further off than 1e6 standard deviations is judged as if it were that far off, unless
         the sensor is protected.
-        NO_MEASUREMENT and ILL_CONDITIONED: as `InnovationMixture`. MAJORITY_SUSPECT: in some direction of the
-        state more sensors are accused than believed, the prediction counting as one. AMBIGUOUS: a second
+        NO_MEASUREMENT and ILL_CONDITIONED: as `InnovationMixture`. MAJORITY_SUSPECT: the accused are
+        no minority, or outweigh all that is believed along one line of the state. AMBIGUOUS: a second
         labelling has a weight of at least .05 and is more than one standard deviation away in some state.
         NOT_CONVERGED: beliefs still move by over .05.
 
