@@ -432,7 +432,11 @@ impl Labels {
                 mean: &self.mean[range.clone()],
                 turn: &self.turn[block.clone()],
             };
-            cavity.match_moments(&ways, &view, step, (&mut self.precision[block], &mut self.eta[range]));
+            let (precision, eta) = (&mut self.precision[block], &mut self.eta[range]);
+            cavity.match_moments(&ways, &view, step, (precision, eta));
+            if !precision.iter().chain(&*eta).all(|value| value.is_finite()) {
+                precision.iter_mut().chain(eta).for_each(|value| *value = 0.0);
+            }
             return;
         }
         let (z, h, mean) = (self.z[first], self.v[first] - 1.0, self.mean[first]);
@@ -442,6 +446,7 @@ impl Labels {
         let curvature = honest * w + constant * wb - (honest * g * g + constant * gb * gb - pull * pull);
         let new = if curvature > 0.0 { curvature / (1.0 - h * curvature) } else { 0.0 };
         let shift = new * (mean + h * pull) + pull;
+        let (new, shift) = if shift.is_finite() { (new, shift) } else { (0.0, 0.0) };
         let (lambda, eta) = (&mut self.precision[at], &mut self.eta[first]);
         *lambda = (1.0 - step) * *lambda + step * new;
         *eta = (1.0 - step) * *eta + step * shift;

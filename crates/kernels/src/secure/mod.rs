@@ -323,7 +323,9 @@ impl Secure {
         let verdict = self.choose(work);
         let mut verdict = self.doubt(work, memory, prior, verdict);
         self.conclude(work, &mut verdict);
-        x.iter_mut().zip(&work.posterior.shift).for_each(|(x, shift)| *x += shift);
+        if work.posterior.shift.iter().all(|shift| shift.is_finite()) {
+            x.iter_mut().zip(&work.posterior.shift).for_each(|(x, shift)| *x += shift);
+        }
         let labels = &mut work.trials[verdict.winner];
         memory.remember(settings, &work.heard, &work.sample, labels);
         self.report(work, x, memory, &verdict, out);
