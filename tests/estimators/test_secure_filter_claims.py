@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,31 @@ def test_honest_sensors_are_suspected_as_often_as_asked(kind: str, rate: float, 
     _, y = batch(plant, 50, steps // 50, 9)
     run = SecureFilter(plant, false_alarm_rate=rate).run(y, covariance=False)
     assert rate / 1.5 < run.suspected.mean() < 1.5 * rate, run.suspected.mean()
+
+
+def two_channels() -> Plant:
+    """Five sensors that each see two combinations of the four states of the plane."""
+    rows = np.random.default_rng(3).normal(size=(5, 2, 4))
+    plane = axes_plant()
+    return Plant(plane.A, plane.Q, [Sensor(f"s{i}", C=row, R=np.eye(2)) for i, row in enumerate(rows)])
+
+
+def each_alone() -> Plant:
+    """Four states that have nothing to do with each other, each seen by one sensor."""
+    return Plant(
+        np.diag([0.9, 0.8, 0.5, 0.95]), np.eye(4), [Sensor(f"s{i}", C=np.eye(4)[i], R=1.0) for i in range(4)]
+    )
+
+
+@pytest.mark.filterwarnings("ignore::securestate.InsecureWarning")
+@pytest.mark.parametrize(("design", "low", "high"), [(two_channels, 0.3, 1.0), (each_alone, 1.0, 4.0)])
+def test_sensors_with_two_channels_are_suspected_less_often_and_those_nobody_vouches_for_more(
+    design: Callable[[], Plant], low: float, high: float
+) -> None:
+    """As docs/secure-filter.md says."""
+    _, y = batch(design(), 50, 3000, 9)
+    run = SecureFilter(design(), false_alarm_rate=1e-3).run(y, covariance=False)
+    assert low < run.suspected.mean() / 1e-3 < high, run.suspected.mean()
 
 
 # ---------------------------------------------------------------- records of another program

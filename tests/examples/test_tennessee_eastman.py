@@ -5,10 +5,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
-from securestate import Plant, judge
+from securestate import Plant, SparseFusion, judge
+from securestate.measurements import read_measurements
 from tests.test_readme import ROOT, assert_shown, blocks, commands, page
 
 EXAMPLE = ROOT / "examples" / "tennessee-eastman"
@@ -78,14 +80,26 @@ def test_exactly_the_two_falsified_sensors_are_named(done: tuple[Path, str]) -> 
     assert f"2 of 22 sensors lie: {PRESSURE} and {TEMPERATURE}." in done[1]
 
 
-def test_honest_sensors_are_suspected_for_one_percent_of_the_time_and_each_for_a_tenth_at_most(
+def test_no_honest_sensor_that_can_be_checked_is_suspected_for_one_percent_of_the_time(
     estimates: pd.DataFrame,
 ) -> None:
-    """More than the stated 0.1 %: small errors of the learned plant add up over hours."""
+    """All are suspected more often than the stated 0.1 %: small errors of the learned plant add up."""
     suspected = estimates.filter(like="suspected.").mean()
     assert len(suspected) == 22
     honest = suspected.drop([f"suspected.{PRESSURE}", f"suspected.{TEMPERATURE}"])
-    assert honest.mean() < 0.015 and honest.max() < 0.1
+    checked = [name for name in honest.index if int(name.split()[1]) in VERIFIABLE]
+    assert len(checked) == 8 and honest[checked].max() < 0.01
+    assert honest.mean() < 0.005 and honest.max() < 0.04
+
+
+def test_sparse_fusion_suspects_no_honest_sensor_and_nobody_before_the_first_lie(
+    done: tuple[Path, str],
+) -> None:
+    plant = Plant.load(done[0] / "plant.toml")
+    run = SparseFusion(plant).run(read_measurements(done[0] / "attacked.csv", plant).y)
+    liars = [plant.sensor_names.index(name) for name in (PRESSURE, TEMPERATURE)]
+    assert np.delete(run.suspected, liars, axis=1).mean(axis=0).max() < 0.01
+    assert not run.suspected[: 10 * HOUR].any()
 
 
 def test_what_is_said_of_honest_sensors_is_that_their_alarms_are_faint(done: tuple[Path, str]) -> None:
@@ -93,7 +107,7 @@ def test_what_is_said_of_honest_sensors_is_that_their_alarms_are_faint(done: tup
     assert {name for name, how in named if how != "raised"} == {PRESSURE, TEMPERATURE}
     faint = sum(how == "raised" for _, how in named)
     text = " ".join(done[1].split())
-    assert len(re.findall("too faint to say that it lies|more than chance explains", text)) >= faint
+    assert len(re.findall("too faint to say that it lies|more than chance explains", text)) == faint
 
 
 @pytest.mark.parametrize(
